@@ -43,12 +43,13 @@ INLINE long beam_step(__global const int *beam, const walk w) {
  * half_blur  half width of the valley, 1/1024 cell
  * behind     least value that is written behind the hit
  * free       value of a cell that the beam passed, 0 to VALUE_ONE
- * wanted     int: [0] whether a page was missing, [1 + page] which
+ * wanted     int for each page, set to 1 where it was missing
+ * missed     uchar for each beam: whether it met such a page
  */
 __kernel void mark_scan(
     __global uint *observed, __global const int *pages, const int width, const int height,
     __global const int *beams, const int count, const int half_blur,
-    const int behind, const int free, __global int *wanted) {
+    const int behind, const int free, __global int *wanted, __global uchar *missed) {
   const int item = get_global_id(0);
   if (item >= count) {
     return;
@@ -58,6 +59,7 @@ __kernel void mark_scan(
   const walk w = beam_walk(beam);
   const long step = beam_step(beam, w);
   const long reach = step > 0 ? ((long)half_blur << WALK_TO_BEAM_SHIFT) / step : 0;
+  int any = 0;
   for (long i = -reach; i <= w.steps; i++) {
     const long away = ((i < 0 ? -i : i) * step) >> WALK_TO_BEAM_SHIFT;
     int value = free;
@@ -73,8 +75,9 @@ __kernel void mark_scan(
     const int x = (int)((w.x + i * w.step_x) >> WALK_SHIFT);
     const int y = (int)((w.y + i * w.step_y) >> WALK_SHIFT);
     const uint word = (uint)((i == 0) << HIT_SHIFT | value << VALUE_SHIFT | (i >= 0));
-    mark_cell(observed, pages, width, wanted, x, y, word);
+    any |= mark_cell(observed, pages, width, wanted, x, y, word);
   }
+  missed[item] = (uchar)any;
 }
 
 /* Join an observation (0 to VALUE_ONE) to a cell's state. */
@@ -147,22 +150,24 @@ __kernel void integrate_scan(
  * table     uchar, TABLE_LAST + 1: value by the squared distance from a cell's centre to the hit, in
  *           (1/1024 cell)^2, shifted right by `shift`; the last for all beyond
  * reach     cells around the hit's own that learn of it
- * wanted    int: [0] whether a page was missing, [1 + page] which
+ * wanted    int for each page, set to 1 where it was missing
+ * missed    uchar for each beam: whether it met such a page
  */
 __kernel void mark_likelihood(
     __global uint *observed, __global const int *pages, const int width, const int height,
     __global const int *beams, const int count, __global const uchar *table, const int shift,
-    const int reach, __global int *wanted) {
+    const int reach, __global int *wanted, __global uchar *missed) {
   const int item = get_global_id(0);
   if (item >= count) {
     return;
   }
   __global const int *beam = beams + BEAM_INTS * item;
   const walk w = walk_of(beam[0], beam[1], beam[2], beam[3]);
+  int any = 0;
   for (long i = 1; i <= w.steps; i++) {
     const int x = (int)((w.x + i * w.step_x) >> WALK_SHIFT);
     const int y = (int)((w.y + i * w.step_y) >> WALK_SHIFT);
-    mark_cell(observed, pages, width, wanted, x, y, 1u);
+    any |= mark_cell(observed, pages, width, wanted, x, y, 1u);
   }
   const int col = beam[0] >> BEAM_SHIFT, row = beam[1] >> BEAM_SHIFT;
   for (int y = row - reach; y <= row + reach; y++) {
@@ -171,9 +176,10 @@ __kernel void mark_likelihood(
       const long dy = beam[1] - (y << BEAM_SHIFT) - BEAM_HALF;
       const long step = (dx * dx + dy * dy) >> shift;
       const uint value = table[step < TABLE_LAST ? step : TABLE_LAST];
-      mark_cell(observed, pages, width, wanted, x, y, value << LIKELIHOOD_SHIFT | 1u);
+      any |= mark_cell(observed, pages, width, wanted, x, y, value << LIKELIHOOD_SHIFT | 1u);
     }
   }
+  missed[item] = (uchar)any;
 }
 
 INLINE void update_cell(

@@ -11,24 +11,31 @@
 #include "common.h"
 #include "tiles.h"
 
-/* Field under a hit (px, py), between cell centres bilinear in sixteenths. */
+/* Value between the centres of four cells at (x, y), bilinear in sixteenths; (col, row) is a's. */
+INLINE int blended(
+    const int a, const int b, const int c, const int d, const float x, const float y,
+    const int col, const int row) {
+  const int right = (int)((x - col) * (float)SIXTEENTHS);
+  const int up = (int)((y - row) * (float)SIXTEENTHS);
+  const int low = a * (SIXTEENTHS - right) + b * right, high = c * (SIXTEENTHS - right) + d * right;
+  return (low * (SIXTEENTHS - up) + high * up) >> SIXTEENTHS_SHIFT;
+}
+
+/* Field of a tiled map under a hit (px, py), between cell centres. */
 INLINE int smooth_value(
     __global const uchar *field, __global const int *pages, const int width, const int height,
     const float px, const float py, const float4 pose) {
   const float x = pose.x + (pose.z * px - pose.w * py) - 0.5f;
   const float y = pose.y + (pose.w * px + pose.z * py) - 0.5f;
   const int col = (int)x, row = (int)y;
-  const int right = (int)((x - col) * (float)SIXTEENTHS);
-  const int up = (int)((y - row) * (float)SIXTEENTHS);
   const int a = field[tile_cell(pages, width, height, col, row)];
   const int b = field[tile_cell(pages, width, height, col + 1, row)];
   const int c = field[tile_cell(pages, width, height, col, row + 1)];
   const int d = field[tile_cell(pages, width, height, col + 1, row + 1)];
-  const int low = a * (SIXTEENTHS - right) + b * right, high = c * (SIXTEENTHS - right) + d * right;
-  return (low * (SIXTEENTHS - up) + high * up) >> SIXTEENTHS_SHIFT;
+  return blended(a, b, c, d, x, y, col, row);
 }
 
-/* Sum of the field under the hits at one pose. */
+/* Sum of a tiled map's field under the hits at one pose. */
 INLINE int smooth_sum(
     __global const uchar *field, __global const int *pages, const int width, const int height,
     __global const float *points, const int count, const float4 pose) {
@@ -40,22 +47,131 @@ INLINE int smooth_sum(
   return sum;
 }
 
-/* Scores of poses.
+/* -- a window of one map's field, dense: a quarter of the gathers ------------------------------- */
+
+/* Copy a rectangle of a tiled map's field; a work item does a row.
  *
  * field    uchar, TILE_CELLS per tile
- * pages    int, width x height
+ * pages    int, pages_wide per row
+ * first    x and y of the window's first cell, in cells of the pages
+ * cells    uchar, width x height
+ * Global: (height).
+ */
+__kernel void copy_window(
+    __global const uchar *field, __global const int *pages, const int pages_wide,
+    const int first_x, const int first_y, const int width, const int height,
+    __global uchar *cells) {
+  const int row = get_global_id(0), y = first_y + row;
+  if (row >= height) {
+    return;
+  }
+  __global const int *own = pages + (y >> TILE_SHIFT) * pages_wide;
+  __global uchar *line = cells + row * width;
+  for (int i = 0; i < width;) {
+    const int x = first_x + i, inside = x & TILE_MASK, run = LOWER(TILE - inside, width - i);
+    __global const uchar *from =
+        field + own[x >> TILE_SHIFT] * TILE_CELLS + ((y & TILE_MASK) << TILE_SHIFT) + inside;
+    if (run == TILE) {
+      STORE32(LOAD32(from), line + i);
+    } else {
+      for (int k = 0; k < run; k++) {
+        line[i + k] = from[k];
+      }
+    }
+    i += run;
+  }
+}
+
+/* Two cells beside each other, the first in the lowest byte; the higher bytes are anything. One word
+ * is one gather; the window's last row, which only such words reach, is not looked at. */
+#ifdef UNALIGNED_WORDS
+#define TWO_CELLS(cells, at) (*(__global const uint *)((cells) + (at)))
+#else
+#define TWO_CELLS(cells, at) ((uint)(cells)[at] | (uint)(cells)[(at) + 1] << 8)
+#endif
+
+/* Field of a window under a hit; a hit beyond it reads its border. */
+INLINE int window_value(
+    __global const uchar *cells, const int4 window, const float px, const float py,
+    const float4 pose) {
+  const float x = pose.x + (pose.z * px - pose.w * py) - 0.5f;
+  const float y = pose.y + (pose.w * px + pose.z * py) - 0.5f;
+  const int col = (int)x, row = (int)y;
+  const int own_col = LOWER(HIGHER(col - window.x, 0), window.z - 2);
+  const int own_row = LOWER(HIGHER(row - window.y, 0), window.w - 3);
+  const int at = own_row * window.z + own_col;
+  const uint low = TWO_CELLS(cells, at), high = TWO_CELLS(cells, at + window.z);
+  return blended(
+      low & 255, low >> 8 & 255, high & 255, high >> 8 & 255, x, y, col, row);
+}
+
+INLINE int window_sum(
+    __global const uchar *cells, const int4 window, __global const float *points, const int count,
+    const float4 pose) {
+  int sum = 0;
+  IN_LANES
+  for (int i = 0; i < count; i++) {
+    sum += window_value(cells, window, points[2 * i], points[2 * i + 1], pose);
+  }
+  return sum;
+}
+
+/* Scores of poses: sums of what a table makes of the field under the hits.
+ *
+ * cells    uchar, width x height: a window whose first cell is (first_x, first_y)
  * points   float, two per hit: cells, in the robot's frame
- * poses    float4: x, y in cells of the window, cos, sin
+ * poses    float4: x, y in cells of the pages, cos, sin
+ * table    int, TABLE_LAST + 1
  * sums     int, one per pose
  */
 __kernel void score_smooth(
-    __global const uchar *field, __global const int *pages, const int width, const int height,
-    __global const float *points, const int count,
-    __global const float4 *poses, const int n, __global int *sums) {
+    __global const uchar *cells, const int first_x, const int first_y, const int width,
+    const int height, __global const float *points, const int count,
+    __global const float4 *poses, const int n, __global const int *table, __global int *sums) {
   const int item = get_global_id(0);
-  if (item < n) {
-    sums[item] = smooth_sum(field, pages, width, height, points, count, poses[item]);
+  if (item >= n) {
+    return;
   }
+  const int4 window = (int4)(first_x, first_y, width, height);
+  const float4 pose = poses[item];
+  int sum = 0;
+  IN_LANES
+  for (int i = 0; i < count; i++) {
+    sum += table[window_value(cells, window, points[2 * i], points[2 * i + 1], pose)];
+  }
+  sums[item] = sum;
+}
+
+/* Sum of the greatest field value of five cells: the one under the hit and the four corners of a
+ * square around it, `reach` cells away. A wide and cheap basin for the first look. */
+__kernel void score_wide(
+    __global const uchar *cells, const int first_x, const int first_y, const int width,
+    const int height, __global const float *points, const int count,
+    __global const float4 *poses, const int n, const int reach, __global int *sums) {
+  const int item = get_global_id(0);
+  if (item >= n) {
+    return;
+  }
+  const float4 pose = poses[item];
+  const int last_x = width - 1, last_y = height - 2;
+  int sum = 0;
+  IN_LANES
+  for (int i = 0; i < count; i++) {
+    const float px = points[2 * i], py = points[2 * i + 1];
+    const int col = (int)(pose.x + (pose.z * px - pose.w * py)) - first_x;
+    const int row = (int)(pose.y + (pose.w * px + pose.z * py)) - first_y;
+    const int x = LOWER(HIGHER(col, 0), last_x), y = LOWER(HIGHER(row, 0), last_y) * width;
+    const int left = LOWER(HIGHER(col - reach, 0), last_x);
+    const int right = LOWER(HIGHER(col + reach, 0), last_x);
+    const int below = LOWER(HIGHER(row - reach, 0), last_y) * width;
+    const int above = LOWER(HIGHER(row + reach, 0), last_y) * width;
+    const int a = cells[y + x], b = cells[below + left], c = cells[below + right];
+    const int d = cells[above + left], e = cells[above + right];
+    const int low = b > c ? b : c, high = d > e ? d : e;
+    const int corner = low > high ? low : high;
+    sum += a > corner ? a : corner;
+  }
+  sums[item] = sum;
 }
 
 /* Loss of a pose (x, y, yaw) that leaves all of some hypotheses: the least over the hypotheses of the
@@ -76,7 +192,7 @@ INLINE float pose_loss(
   return least;
 }
 
-/* Climb from some poses: each work-group takes one; in each round its items try a step each from
+/* Climb from some poses over a window: each work-group takes one; in each round its items try a step each from
  * the group's best pose, and the best of them (the first of equals) is where the next round starts.
  *
  * starts   float, START_FLOATS per group: x, y in cells of the window, yaw, cos, sin
@@ -87,11 +203,12 @@ INLINE float pose_loss(
  * Work-groups must have CLIMBERS items.
  */
 __kernel __attribute__((reqd_work_group_size(CLIMBERS, 1, 1))) void climb(
-    __global const uchar *field, __global const int *pages, const int width, const int height,
-    __global const float *points, const int count,
+    __global const uchar *cells, const int first_x, const int first_y, const int width,
+    const int height, __global const float *points, const int count,
     __global const float *hypotheses, const int hypothesis_count, __global const float *starts,
     __global const float *steps, const int rounds, const float scale, __global float *found) {
   const int item = get_local_id(0), group = get_group_id(0), groups = get_num_groups(0);
+  const int4 window = (int4)(first_x, first_y, width, height);
   __local float tried[CLIMBERS][START_FLOATS];
   __local float values[CLIMBERS];
   __local float best[FOUND_FLOATS];
@@ -108,7 +225,7 @@ __kernel __attribute__((reqd_work_group_size(CLIMBERS, 1, 1))) void climb(
     const float cos = best[3] * step[3] - best[4] * step[4];
     const float sin = best[4] * step[3] + best[3] * step[4];
     const float4 pose = (float4)(x, y, cos, sin);
-    const int sum = smooth_sum(field, pages, width, height, points, count, pose);
+    const int sum = window_sum(cells, window, points, count, pose);
     values[item] = (float)sum * scale - pose_loss(hypotheses, hypothesis_count, x, y, yaw);
     tried[item][0] = x;
     tried[item][1] = y;
@@ -235,35 +352,6 @@ __kernel void score_maps(
   for (int i = 0; i < count; i++) {
     sum += table[smooth_value(
         field, own, width, height, points[2 * i], points[2 * i + 1], pose)];
-  }
-  sums[item] = sum;
-}
-
-/* Sum of the greatest field value of five cells: the one under the hit and the four corners of a
- * square around it, `reach` cells away. A wide and cheap basin for the first look. */
-__kernel void score_wide(
-    __global const uchar *field, __global const int *pages, const int width, const int height,
-    __global const float *points, const int count,
-    __global const float4 *poses, const int n, const int reach, __global int *sums) {
-  const int item = get_global_id(0);
-  if (item >= n) {
-    return;
-  }
-  const float4 pose = poses[item];
-  int sum = 0;
-  IN_LANES
-  for (int i = 0; i < count; i++) {
-    const float px = points[2 * i], py = points[2 * i + 1];
-    const int col = (int)(pose.x + (pose.z * px - pose.w * py));
-    const int row = (int)(pose.y + (pose.w * px + pose.z * py));
-    const int a = field[tile_cell(pages, width, height, col, row)];
-    const int b = field[tile_cell(pages, width, height, col - reach, row - reach)];
-    const int c = field[tile_cell(pages, width, height, col + reach, row - reach)];
-    const int d = field[tile_cell(pages, width, height, col - reach, row + reach)];
-    const int e = field[tile_cell(pages, width, height, col + reach, row + reach)];
-    const int low = b > c ? b : c, high = d > e ? d : e;
-    const int corner = low > high ? low : high;
-    sum += a > corner ? a : corner;
   }
   sums[item] = sum;
 }

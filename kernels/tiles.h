@@ -47,19 +47,19 @@ INLINE uint add_to_word(__global uint *word, const uint more) { return atomic_ad
 INLINE void join_word(__global uint *word, const uint bits) { atomic_or(word, bits); }
 #endif
 
-/* Mark a cell inside the window with a word; a page that has no tile is wanted. */
-INLINE void mark_cell(
+/* Mark a cell inside the window with a word. If its page has no tile, that is wanted and 1 returned. */
+INLINE int mark_cell(
     __global uint *observed, __global const int *pages, const int width, __global int *wanted,
     const int x, const int y, const uint word) {
   const int page = (y >> TILE_SHIFT) * width + (x >> TILE_SHIFT);
   const int tile = pages[page];
   if (tile == 0) {
-    wanted[0] = 1;
-    wanted[1 + page] = 1;
-  } else {
-    keep_greater(
-        observed + tile * TILE_CELLS + ((y & TILE_MASK) << TILE_SHIFT) + (x & TILE_MASK), word);
+    wanted[page] = 1;
+    return 1;
   }
+  keep_greater(
+      observed + tile * TILE_CELLS + ((y & TILE_MASK) << TILE_SHIFT) + (x & TILE_MASK), word);
+  return 0;
 }
 
 #endif

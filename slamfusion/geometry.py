@@ -225,7 +225,7 @@ def _mean(values: npt.NDArray[Any], share: F64 | None) -> npt.NDArray[Any]:
 
 def pose_of(row: F64) -> Pose2:
     """Return the pose of a row; its yaw in [-pi, pi)."""
-    x, y, yaw = (float(value) for value in row)
+    x, y, yaw = row.tolist()
     return Pose2(x, y, wrap_angle(yaw))
 
 

@@ -11,6 +11,7 @@ import numpy.typing as npt
 if TYPE_CHECKING:
     from slamfusion.compute.opencl import OpenCLDevice
 
+BOOL: TypeAlias = npt.NDArray[np.bool_]
 I8: TypeAlias = npt.NDArray[np.int8]
 U8: TypeAlias = npt.NDArray[np.uint8]
 U16: TypeAlias = npt.NDArray[np.uint16]

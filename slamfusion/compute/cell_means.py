@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from slamfusion.compute.arrays import I32, I64, U8, ArrayDevice, DeviceArray, host
+from slamfusion.compute.arrays import BOOL, I32, I64, U8, ArrayDevice, DeviceArray, host
 from slamfusion.compute.layout import (
     BEAM_HALF,
     BEAM_SHIFT,
@@ -119,8 +119,8 @@ def _walks(beams: I32, half_blur: int) -> _Walks:
     return _Walks(beam, i, col, row, step[beam])
 
 
-def _valley_words(beams: I32, rule: ScanRule) -> tuple[I64, I64, I64]:
-    """Return row, column and word of every cell that beams observe."""
+def _valley_words(beams: I32, rule: ScanRule) -> tuple[I64, I64, I64, I64]:
+    """Return beam, row, column and word of every cell that beams observe."""
     w = _walks(beams, rule.half_blur)
     away = (np.abs(w.i) * w.step) >> WALK_TO_BEAM_SHIFT
     half = max(1, rule.half_blur)
@@ -131,10 +131,10 @@ def _valley_words(beams: I32, rule: ScanRule) -> tuple[I64, I64, I64]:
     keep = (w.i >= 0) | (value >= rule.behind)
     value[w.i == 0] = beams[w.beam[w.i == 0], 5]
     word = (w.i == 0).astype(np.int64) << HIT_SHIFT | value << VALUE_SHIFT | (w.i >= 0)
-    return w.row[keep], w.col[keep], word[keep]
+    return w.beam[keep], w.row[keep], w.col[keep], word[keep]
 
 
-def _likelihood_words(beams: I32, rule: LikelihoodRule) -> tuple[I64, I64, I64]:
+def _likelihood_words(beams: I32, rule: LikelihoodRule) -> tuple[I64, I64, I64, I64]:
     """Return the same; passed cells get the value of no hit nearby."""
     w = _walks(np.column_stack((beams, np.zeros((len(beams), 2), dtype=np.int32))), 0)
     passed = w.i >= 1
@@ -146,10 +146,12 @@ def _likelihood_words(beams: I32, rule: LikelihoodRule) -> tuple[I64, I64, I64]:
     dy = hits[:, 1] - (row << BEAM_SHIFT) - BEAM_HALF
     step = np.minimum((dx * dx + dy * dy) >> rule.shift, TABLE_LAST)
     value = np.concatenate((np.zeros(passed.sum(), np.int64), rule.table[step].ravel()))
-    row, col = (
-        np.concatenate((way[passed], near.ravel())) for way, near in ((w.row, row), (w.col, col))
+    own = np.repeat(np.arange(len(beams)), len(rows))
+    beam, row, col = (
+        np.concatenate((way[passed], near.ravel()))
+        for way, near in ((w.beam, own), (w.row, row), (w.col, col))
     )
-    return row, col, value << LIKELIHOOD_SHIFT | 1
+    return beam, row, col, value << LIKELIHOOD_SHIFT | 1
 
 
 def _joined(state: I64, value: I64, rule: ScanRule) -> I64:
@@ -200,18 +202,18 @@ class CellMeanDevice(ArrayDevice):
         beams: DeviceArray[np.int32],
         rule: ScanRule | LikelihoodRule,
         wanted: DeviceArray[np.int32],
-    ) -> bool:
+    ) -> BOOL:
         """Write into ``observed``, in place, the words of a scan's beams.
 
         Args:
             pools: of the rule's kinds; ``observed`` is 0 before.
             pages: (PH, PW) int32.
             beams: as the rule says; they, and all that they come near to, are inside the window.
-            wanted: (1 + PH * PW,) int32, set to 1 in place at 0 and at 1 + page where a page has no
-                tile yet; those cells are left out.
+            wanted: (PH, PW) int32, set to 1 in place where a page has no tile yet; those cells are
+                left out.
 
         Returns:
-            Whether a page was missing: provide tiles and mark again, which is idempotent.
+            (B,) bool, which beams met such a page: provide tiles and mark these again.
         """
         if self.opencl:
             height, width = pages.shape
@@ -222,20 +224,17 @@ class CellMeanDevice(ArrayDevice):
             else:
                 name = "mark_likelihood"
                 own = (self.opencl.table(rule.table), rule.shift, rule.reach)
-            self.opencl.launch(
-                name, (count,), pools["observed"], pages, width, height, beams, count, *own, wanted
-            )
-            return bool(self.opencl.first(wanted))
-        row, col, words = _words(host(beams), rule)
-        tables, missed = host(pages), host(wanted)
-        tiles = tables[row // TILE, col // TILE]
-        missing = tiles == 0
-        missed[1 + (row // TILE * tables.shape[1] + col // TILE)[missing]] = 1
-        missed[0] |= int(missing.any())
-        put = ~missing
+            return self.opencl.launch_into(
+                np.empty(count, dtype=np.bool_), name, (count,), pools["observed"], pages, width,
+                height, beams, count, *own, wanted,
+            )  # fmt: skip
+        beam, row, col, words = _words(host(beams), rule)
+        tiles = host(pages)[row // TILE, col // TILE]
+        missing, put = tiles == 0, tiles != 0
+        host(wanted)[row[missing] // TILE, col[missing] // TILE] = 1
         at = (tiles[put], row[put] % TILE, col[put] % TILE)
         np.maximum.at(host(pools["observed"]), at, words[put].astype(np.uint32))
-        return bool(missed[0])
+        return np.bincount(beam[missing], minlength=beams.shape[0]) > 0
 
     def integrate_scan(
         self,
@@ -259,7 +258,7 @@ class CellMeanDevice(ArrayDevice):
             written = [pools[pool] for pool in names]
             self.opencl.launch(name, (count,), *written, pages, width, height, beams, count, *own)
             return
-        row, col, _ = _words(host(beams), rule)
+        _, row, col, _ = _words(host(beams), rule)
         tiles, observed = host(pages)[row // TILE, col // TILE], host(pools["observed"])
         places = np.unique(np.stack((tiles, row % TILE, col % TILE), axis=-1), axis=0)
         words = observed[tuple(places.T)].astype(np.int64)
@@ -271,8 +270,8 @@ class CellMeanDevice(ArrayDevice):
             _learn_likelihood(pools, at, words, rule)
 
 
-def _words(beams: I32, rule: ScanRule | LikelihoodRule) -> tuple[I64, I64, I64]:
-    """Return row, column and word of every cell that beams observe."""
+def _words(beams: I32, rule: ScanRule | LikelihoodRule) -> tuple[I64, I64, I64, I64]:
+    """Return beam, row, column and word of every cell that beams observe."""
     if isinstance(rule, ScanRule):
         return _valley_words(beams, rule)
     return _likelihood_words(beams, rule)

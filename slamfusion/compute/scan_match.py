@@ -5,32 +5,79 @@
 
 from __future__ import annotations
 
+from typing import Any, NamedTuple
+
 import numpy as np
 
-from slamfusion.compute.arrays import F32, I32, I64, U8, ArrayDevice, DeviceArray, host
-from slamfusion.compute.layout import CLIMBERS, FOUND_FLOATS, SIXTEENTHS, SIXTEENTHS_SHIFT, TILE
+from slamfusion.compute.arrays import F32, F64, I32, I64, U8, ArrayDevice, DeviceArray, host
+from slamfusion.compute.layout import (
+    CLIMBERS,
+    FOUND_FLOATS,
+    SIXTEENTHS,
+    SIXTEENTHS_SHIFT,
+    TABLE_LAST,
+    TILE,
+)
+
+# A table of smooth values that changes none.
+SAME: I32 = np.arange(TABLE_LAST + 1, dtype=np.int32)
+# Cells a side that a window has at least: a hit reads two, and a word of four.
+LEAST_WINDOW = 4
 
 
-def _cells(field: U8, pages: I32, cols: I64, rows: I64) -> I64:
-    """Return field values of cells; beyond the window, those of its empty border."""
+class FieldWindow(NamedTuple):
+    """A rectangle of one tiled map's field, dense.
+
+    Hits beyond it read its border: it reaches as far as they do, or to the map's empty border.
+
+    Attributes:
+        cells: (H, W) uint8 on the device; the last row is not looked at.
+        first: x and y of its first cell, in cells of the map's pages.
+    """
+
+    cells: DeviceArray[np.uint8]
+    first: tuple[int, int]
+
+
+def _arguments(window: FieldWindow) -> tuple[Any, ...]:
+    """Return a window as kernels take it."""
+    height, width = window.cells.shape
+    return window.cells, *window.first, width, height
+
+
+def _whole(field: U8, pages: I32) -> FieldWindow:
+    """Return all of a map, (PH, PW) pages, as a window."""
     height, width = pages.shape
-    col = np.clip(cols, 0, width * TILE - 1)
-    row = np.clip(rows, 0, height * TILE - 1)
-    tiles = pages[row // TILE, col // TILE]
-    return field[tiles, row % TILE, col % TILE].astype(np.int64)
+    cells = field[pages].transpose(0, 2, 1, 3).reshape(height * TILE, width * TILE)
+    return FieldWindow(np.pad(cells, ((0, 1), (0, 0))), (0, 0))
 
 
-def _smooth(field: U8, pages: I32, east: F32, north: F32) -> I64:
+def _smooth(window: FieldWindow, east: F32, north: F32) -> I64:
     """Return the field at positions in cells, between cell centres bilinear in sixteenths."""
     east, north = east - np.float32(0.5), north - np.float32(0.5)
     col, row = east.astype(np.int64), north.astype(np.int64)
     right = ((east - col.astype(np.float32)) * np.float32(SIXTEENTHS)).astype(np.int64)
     up = ((north - row.astype(np.float32)) * np.float32(SIXTEENTHS)).astype(np.int64)
-    a, b = _cells(field, pages, col, row), _cells(field, pages, col + 1, row)
-    c, d = _cells(field, pages, col, row + 1), _cells(field, pages, col + 1, row + 1)
+    cells, first = host(window.cells), window.first
+    height, width = cells.shape
+    col, row = np.clip(col - first[0], 0, width - 2), np.clip(row - first[1], 0, height - 3)
+    a, b, c, d = (cells[row + i, col + j].astype(np.int64) for i in (0, 1) for j in (0, 1))
     low, high = a * (SIXTEENTHS - right) + b * right, c * (SIXTEENTHS - right) + d * right
     blended: I64 = np.asarray(low * (SIXTEENTHS - up) + high * up, dtype=np.int64)
     return np.asarray(blended >> SIXTEENTHS_SHIFT)
+
+
+def _wide(window: FieldWindow, east: F32, north: F32, reach: int) -> I64:
+    """Return the greatest of five cells: under each position, and four ``reach`` away."""
+    cells, first = host(window.cells), window.first
+    height, width = cells.shape
+    col, row = east.astype(np.int64) - first[0], north.astype(np.int64) - first[1]
+    around = [(0, 0), (-reach, -reach), (reach, -reach), (-reach, reach), (reach, reach)]
+    found = [
+        cells[np.clip(row + dy, 0, height - 2), np.clip(col + dx, 0, width - 1)]
+        for dx, dy in around
+    ]
+    return np.asarray(np.max(found, axis=0), dtype=np.int64)
 
 
 def _moved(points: F32, poses: F32) -> tuple[F32, F32]:
@@ -58,53 +105,63 @@ class ScanMatchDevice(ArrayDevice):
     """A device that matches scans.
 
     On the device stay the ``field``, (T, TILE, TILE) uint8 wall values of all maps; the ``pages``
-    of the window, (PH, PW) int32, of N maps (N, PH, PW), whose border is empty; and the ``points``
+    of one map (PH, PW) or of N maps (N, PH, PW), int32, whose border is empty; and the ``points``
     of a scan, (P, 2) float32, cells, in the robot's frame. All else comes from the host.
     """
 
+    def field_window(
+        self, field: DeviceArray[np.uint8], pages: DeviceArray[np.int32], low: F64, high: F64
+    ) -> FieldWindow:
+        """Return the part of a map between two corners, (2,) each in cells of its pages."""
+        height, width = pages.shape
+        size = np.array([width, height]) * TILE
+        first = np.clip(np.floor(low), 0, size - LEAST_WINDOW).astype(int)
+        last = np.clip(np.ceil(high), first + LEAST_WINDOW, size).astype(int)
+        (x, y), (cols, rows) = first.tolist(), (last - first).tolist()
+        if self.opencl:
+            cells = self.opencl.empty((rows, cols), np.uint8)
+            self.opencl.launch("copy_window", (rows,), field, pages, width, x, y, cols, rows, cells)
+            return FieldWindow(cells, (x, y))
+        whole = host(_whole(host(field), host(pages)).cells)
+        return FieldWindow(whole[y : y + rows, x : x + cols], (x, y))
+
     def score_poses(
         self,
-        field: DeviceArray[np.uint8],
-        pages: DeviceArray[np.int32],
+        window: FieldWindow,
         points: DeviceArray[np.float32],
         poses: F32,
         *,
         reach: int = 0,
+        table: I32 = SAME,
     ) -> I64:
         """Sum the score field under a scan's points at each candidate pose.
 
         Args:
-            poses: (N, 4) float32: x, y in cells of the window, cos, sin.
+            poses: (N, 4) float32: x, y in cells of the pages, cos, sin.
             reach: 0 interpolates between cell centres, in sixteenths; otherwise the greatest of
                 five cells counts: the one under the point and four, ``reach`` cells away
                     diagonally.
+            table: (256,) int32, what an interpolated value counts.
 
         Returns:
             (N,) int64 sums.
         """
         if self.opencl:
             n = len(poses)
-            height, width = pages.shape
-            wide = [reach] if reach else []
             sums = self.opencl.launch_into(
-                np.empty(n, dtype=np.int32), "score_wide" if reach else "score_smooth", (n,), field,
-                pages, width, height, points, points.shape[0], self.opencl.wrap_host(poses), n,
-                *wide,
+                np.empty(n, dtype=np.int32), "score_wide" if reach else "score_smooth", (n,),
+                *_arguments(window), points, points.shape[0], self.opencl.wrap_host(poses), n,
+                reach or self.opencl.table(table),
             )  # fmt: skip
             return sums.astype(np.int64)
-        field, pages, points = host(field), host(pages), host(points)
-        east, north = _moved(points, poses)
+        east, north = _moved(host(points), poses)
         if reach:
-            col, row = east.astype(np.int64), north.astype(np.int64)
-            around = [(0, 0), (-reach, -reach), (reach, -reach), (-reach, reach), (reach, reach)]
-            found = [_cells(field, pages, col + dx, row + dy) for dx, dy in around]
-            return np.asarray(np.max(found, axis=0).sum(axis=1))
-        return np.asarray(_smooth(field, pages, east, north).sum(axis=1))
+            return np.asarray(_wide(window, east, north, reach).sum(axis=1))
+        return np.asarray(table[_smooth(window, east, north)].sum(axis=1, dtype=np.int64))
 
     def climb(
         self,
-        field: DeviceArray[np.uint8],
-        pages: DeviceArray[np.int32],
+        window: FieldWindow,
         points: DeviceArray[np.float32],
         hypotheses: F32,
         starts: F32,
@@ -121,21 +178,19 @@ class ScanMatchDevice(ArrayDevice):
 
         Args:
             hypotheses: (K, 7) float32: x, y, yaw, the weights of their squares, its own loss.
-            starts: (G, 5) float32: x, y in cells of the window, yaw, cos, sin.
+            starts: (G, 5) float32: x, y in cells of the pages, yaw, cos, sin.
             steps: (R, G, 5) float32: dx, dy, dyaw, cos and sin of dyaw. R at least 1.
 
         Returns:
             (G, 6) float32: x, y, yaw, cos, sin and the value of where each climber ended.
         """
         if self.opencl:
-            height, width = pages.shape
             return self.opencl.launch_into(
                 np.empty((len(starts), FOUND_FLOATS), dtype=np.float32), "climb",
-                (len(starts) * CLIMBERS,), field, pages, width, height, points, points.shape[0],
+                (len(starts) * CLIMBERS,), *_arguments(window), points, points.shape[0],
                 self.opencl.wrap_host(hypotheses), len(hypotheses), self.opencl.wrap_host(starts),
                 self.opencl.wrap_host(steps), len(steps), scale,
             )  # fmt: skip
-        field, pages, points = host(field), host(pages), host(points)
         best = starts.copy()
         values = np.zeros(len(starts), dtype=np.float32)
         for step in steps:
@@ -148,7 +203,7 @@ class ScanMatchDevice(ArrayDevice):
                 (x + step[..., 0], y + step[..., 1], yaw + step[..., 2], *turned), axis=-1
             )
             poses = tried[..., [0, 1, 3, 4]].reshape(-1, 4)
-            sums = self.score_poses(field, pages, points, poses)
+            sums = self.score_poses(window, points, poses)
             losses = _losses(tried[:, :, None], hypotheses)
             told = sums.reshape(tried.shape[:2]).astype(np.float32) * np.float32(scale)
             value = told - losses.min(axis=-1)
@@ -192,11 +247,12 @@ class ScanMatchDevice(ArrayDevice):
                 self.opencl.wrap_host(hypotheses), self.opencl.wrap_host(starts),
                 self.opencl.wrap_host(sizes), len(sizes), tries, scale,
             )  # fmt: skip
-        field, pages, points = host(field), host(pages), host(points)
         found = np.empty((len(starts), FOUND_FLOATS), dtype=np.float32)
         ways = _ways().astype(np.float32)
-        for own, hypothesis, start, place in zip(pages, hypotheses, starts, found, strict=True):
-            best, at = start.copy(), 0
+        for own, hypothesis, start, place in zip(
+            host(pages), hypotheses, starts, found, strict=True
+        ):
+            window, best, at = _whole(host(field), own), start.copy(), 0
             for _ in range(tries):
                 cells, radians, cos, sin = sizes[at]
                 turn = ways[:, 2]
@@ -205,7 +261,7 @@ class ScanMatchDevice(ArrayDevice):
                 turned = best[3] * dcos - best[4] * dsin, best[4] * dcos + best[3] * dsin
                 moved = best[:2] + ways[:, :2] * cells, best[2] + turn * radians
                 tried = np.column_stack((*moved, *turned))
-                sums = self.score_poses(field, own, points, tried[:, [0, 1, 3, 4]])
+                sums = self.score_poses(window, points, tried[:, [0, 1, 3, 4]])
                 losses = _losses(tried, hypothesis)
                 values = sums.astype(np.float32) * np.float32(scale) - losses
                 winner = int(values.argmax())
@@ -242,8 +298,7 @@ class ScanMatchDevice(ArrayDevice):
                 self.opencl.wrap_host(table),
             )  # fmt: skip
             return whole.astype(np.int64)
-        field, pages, points = host(field), host(pages), host(points)
         sums = np.empty(poses.shape[:2], dtype=np.int64)
-        for own, at, out in zip(pages, poses, sums, strict=True):
-            out[:] = table[_smooth(field, own, *_moved(points, at))].sum(axis=1)
+        for own, at, out in zip(host(pages), poses, sums, strict=True):
+            out[:] = self.score_poses(_whole(host(field), own), points, at, table=table)
         return sums

@@ -30,10 +30,10 @@ class Map:
             "field": device.upload(np.full(shape, UNSEEN, dtype=np.uint8)),
         }
         self.table = device.upload(pages)
-        self.wanted = device.upload(np.zeros(1 + pages.size, dtype=np.int32))
+        self.wanted = device.upload(np.zeros_like(pages))
 
-    def mark(self, beams: I32, rule: LikelihoodRule = ROOM) -> bool:
-        """Mark a scan; whether a page was missing."""
+    def mark(self, beams: I32, rule: LikelihoodRule = ROOM) -> npt.NDArray[np.bool_]:
+        """Mark a scan; which beams met a page without a tile."""
         handle = self.device.upload(beams)
         return self.device.mark_scan(self.pools, self.table, handle, rule, self.wanted)
 
@@ -70,7 +70,7 @@ def test_one_beam_by_hand(device: ComputeDevice):
     """From the laser in column 26 to a hit in the middle of column 34 of row 9, over two pages."""
     built = Map(device, own_pages(1, 2))
     beams = beams_of((34.5, 9.5, 26.5, 9.5))
-    assert not built.mark(beams)
+    assert not built.mark(beams).any()
     words = np.zeros((TILE, 2 * TILE), dtype=np.int64)
     words[9, 26:33] = 1  # passed, the laser's cell too
     words[8:11, 33:36] = value_at(2.0) << 1 | 1

@@ -22,11 +22,14 @@ import numpy.typing as npt
 from slamfusion.compute import ComputeDevice
 from slamfusion.compute.arrays import DeviceArray
 from slamfusion.compute.layout import CLIMBERS
+from slamfusion.compute.scan_match import FieldWindow
 from slamfusion.config import MatcherConfig
 from slamfusion.geometry import F64, wrap_angles
 
 # Distance, metres, between the five cells whose maximum the first look uses: the draws' spacing.
 WIDE_REACH_M = 0.15
+# Share of the poses' box by which the copied part of the field is wider on each side.
+WINDOW_ROOM = 0.5
 # Number of different cells with hits below which a scan has less weight than the hypotheses assume.
 TELLING_CELLS = 100.0
 # Larger than any column: combines a row and a column into one number.
@@ -101,7 +104,7 @@ class ScanOnTiles:
     ) -> None:
         """Upload hits (P, 2), metres in the robot's frame, thinned to at most ``most_points``."""
         self._device = device
-        self._map = (walls.field, walls.pages)
+        self._walls = walls
         self._cell = resolution = walls.resolution
         self._corner = walls.corner
         hits = points / resolution
@@ -111,8 +114,13 @@ class ScanOnTiles:
         # The first, wide look takes every second of them.
         self._few_points = device.upload(looked_at[::2])
         col, row = np.floor(hits).astype(np.int64).T
-        self.cells = len(np.unique(col * _ROW_STRIDE + row))
+        cells = np.sort(col * _ROW_STRIDE + row)
+        self.cells = 1 + int(np.count_nonzero(cells[1:] != cells[:-1]))
         self._reach = max(1, round(WIDE_REACH_M / resolution))
+        # A dense copy of the field around the poses so far, and their box in cells of the pages.
+        self._window: FieldWindow | None = None
+        self._low = self._high = np.zeros(2)
+        self._range = float(np.hypot(*looked_at.T).max()) + self._reach + 2.0
 
     def wide_scores(self, poses: F64) -> F64:
         """Return (N,) scores, 0 to 1, of poses (N, 3) on wide basins, by half of the points."""
@@ -126,15 +134,10 @@ class ScanOnTiles:
         """Return the share of the hits at a pose (3,) whose field value is ``unseen``."""
         table = np.zeros(256, dtype=np.int32)
         table[unseen] = 1
-        field, pages = self._map
-        sums = self._device.score_maps(
-            field,
-            pages.reshape((1, *pages.shape)),
-            self._points,
-            pose_table(pose.reshape(1, 1, 3), self._cell, self._corner),
-            table,
-        )
-        return float(sums[0, 0] / self._points.shape[0])
+        poses = pose_table(pose[None], self._cell, self._corner)
+        window = self._window_at(poses, 0.0)
+        sums = self._device.score_poses(window, self._points, poses, table=table)
+        return float(sums[0] / self._points.shape[0])
 
     def hill_climb(
         self, starts: F64, steps: F64, hypotheses: Sequence[PoseHypothesis], weights: F64
@@ -161,8 +164,9 @@ class ScanOnTiles:
         table = np.empty((*steps.shape[:3], 5), dtype=np.float32)
         table[..., :2], table[..., 2] = steps[..., :2] / cell, steps[..., 2]
         table[..., 3], table[..., 4] = np.cos(steps[..., 2]), np.sin(steps[..., 2])
+        farthest = np.abs(table[..., :2]).max(axis=(1, 2)).sum(axis=0)
         found = self._device.climb(
-            *self._map,
+            self._window_at(first, farthest),
             self._points,
             losses,
             first.astype(np.float32),
@@ -175,8 +179,24 @@ class ScanOnTiles:
 
     def _means(self, points: DeviceArray[Any], poses: F64, reach: int = 0) -> F64:
         table = pose_table(poses, self._cell, self._corner)
-        sums = self._device.score_poses(*self._map, points, table, reach=reach)
+        window = self._window_at(table, 0.0)
+        sums = self._device.score_poses(window, points, table, reach=reach)
         return np.asarray(sums * _scale(points))
+
+    def _window_at(self, poses: npt.NDArray[Any], farther: F64 | float) -> FieldWindow:
+        """Return a window with all that hits reach at poses (N, 2 or more), cells, and around."""
+        low, high = poses[:, :2].min(axis=0) - farther, poses[:, :2].max(axis=0) + farther
+        if self._window is None or (low < self._low).any() or (high > self._high).any():
+            # Room for the climb that follows a first look.
+            room = WINDOW_ROOM * (high - low)
+            self._low, self._high = low - room, high + room
+            self._window = self._device.field_window(
+                self._walls.field,
+                self._walls.pages,
+                self._low - self._range,
+                self._high + self._range,
+            )
+        return self._window
 
 
 def pose_table(poses: F64, cell: float, corner: F64) -> npt.NDArray[np.float32]:
@@ -210,10 +230,11 @@ def search_pose(
     weights *= max(1.0, TELLING_CELLS / scan.cells)
     weights[:2] *= trust
 
+    own = [one.loss for one in hypotheses]
+
     def loss(poses: F64) -> F64:
         away = poses[:, None, :] - centres
         away[..., 2] = wrap_angles(away[..., 2])
-        own = [one.loss for one in hypotheses]
         return np.asarray(((away / sigmas) ** 2 @ weights + own).min(axis=1))
 
     # The first look, and the hypotheses themselves.

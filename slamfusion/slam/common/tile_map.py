@@ -169,9 +169,11 @@ class TileMap(_Tiles):
     def write(self, beams: npt.NDArray[np.int32], rule: ScanRule | LikelihoodRule) -> None:
         """Write a scan's beams (B, K), as the rule says, all in the window."""
         device, handle = self._device, self._device.upload(beams)
-        if device.mark_scan(self.pools, self.page_tables, handle, rule, self._wanted):
+        missed = device.mark_scan(self.pools, self.page_tables, handle, rule, self._wanted)
+        if missed.any():
             self._provide_wanted()
-            device.mark_scan(self.pools, self.page_tables, handle, rule, self._wanted)
+            again = device.upload(beams[missed])
+            device.mark_scan(self.pools, self.page_tables, again, rule, self._wanted)
         device.integrate_scan(self.pools, self.page_tables, handle, rule)
 
     def to_arrays(self) -> dict[str, Array]:
@@ -197,7 +199,7 @@ class TileMap(_Tiles):
 
     def _provide_wanted(self) -> None:
         """Give a tile to every page that needs one."""
-        missing = np.flatnonzero(self._device.download(self._wanted)[1:])
+        missing = np.flatnonzero(self._device.download(self._wanted))
         needed = self.tiles + len(missing)
         if needed > self._capacity:
             self._extend(max(needed, int(self._capacity * GROWTH)))
@@ -207,7 +209,7 @@ class TileMap(_Tiles):
 
     def _send(self) -> None:
         super()._send()
-        self._wanted = self._device.upload(np.zeros(1 + self.pages.size, dtype=np.int32))
+        self._wanted = self._device.upload(np.zeros_like(self.pages))
 
 
 class SharedTileMaps(_Tiles):

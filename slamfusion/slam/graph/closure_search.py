@@ -96,16 +96,18 @@ def search_window(
 
     # Sums are integers: the small term undoes the rounding of ``least``.
     best_sum = int(np.floor(least * 255.0 * len(points) + 1e-6))
-    side = pyramid.windows[0]
+    # The finest level alone where that is one call.
+    coarsest = 0 if len(yaws) * span**2 > BATCH else len(pyramid.windows) - 1
+    side = pyramid.windows[coarsest]
     firsts = -(-span // side)
     blocks = np.indices((len(yaws), firsts, firsts), dtype=np.int32).reshape(3, -1).T
     blocks = blocks * np.array([1, side, side], dtype=np.int32)
     # A stack of open blocks by level; the deepest level's highest bounds come first.
-    queues = [(blocks, device.bound_blocks(blocks, starts, pyramid.fields[0], best_sum))]
+    queues = [(blocks, device.bound_blocks(blocks, starts, pyramid.fields[coarsest], best_sum))]
     best: I32 | None = None
     while queues:
         blocks, values = queues.pop()
-        level = len(queues)
+        level = coarsest + len(queues)
         open_ones = values > best_sum
         blocks, values = blocks[open_ones], values[open_ones]
         if len(blocks) == 0:

@@ -339,8 +339,10 @@ class LoopClosure(Stateful):
         following = [submap.anchor for submap in local_map.submaps[1 : len(away_m) + 1]]
         last = np.array(following, dtype=np.int64) + config.scan_buffer_size // 2
         travelled_m = graph.travelled_m - graph.travelled_at(last)
-        for index, linked_m in self._linked_m.items():
-            travelled_m[index] = min(travelled_m[index], graph.travelled_m - linked_m)
+        if self._linked_m:
+            linked = list(self._linked_m)
+            since_m = graph.travelled_m - np.array(list(self._linked_m.values()))
+            travelled_m[linked] = np.minimum(travelled_m[linked], since_m)
         drift_m = LEAST_DRIFT_M + DRIFT_SHARE * travelled_m
         found = []
         for index in np.flatnonzero(away_m < reach_m + drift_m + KIDNAPPED_DRIFT_M).tolist():

@@ -19,7 +19,7 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.compute.arrays import DeviceArray
 from slamfusion.compute.cell_means import LikelihoodRule
 from slamfusion.compute.layout import BEAM_ONE
-from slamfusion.geometry import F64, Pose2
+from slamfusion.geometry import F64, Pose2, wrap_angles
 from slamfusion.slam.common.matcher import FieldMap
 from slamfusion.slam.common.state import check_indices, check_kinds, check_shapes
 from slamfusion.slam.common.tile_map import TileMap
@@ -41,15 +41,14 @@ def fill_walls(points: F64, laser: F64, step_m: float) -> F64:
     if len(points) < 4:
         return points
     away = points - laser
-    bearing = np.unwrap(np.arctan2(away[:, 1], away[:, 0]))
-    turn = np.abs(np.diff(bearing))
+    turn = np.abs(wrap_angles(np.diff(np.arctan2(away[:, 1], away[:, 0]))))
     along = np.diff(points, axis=0)
     gap = np.hypot(along[:, 0], along[:, 1])
     is_next = turn <= NEIGHBOUR_STEPS * np.median(turn)
     # The gap from hit i + 1 to hit i + 2, by the hits i and i + 3.
     gaps, lines = gap[1:-1], along[1:-1]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        normal = np.column_stack((-lines[:, 1], lines[:, 0])) / gaps[:, None]
+    # Shorter gaps than a step are not filled in.
+    normal = np.column_stack((-lines[:, 1], lines[:, 0])) / np.maximum(gaps, step_m)[:, None]
     before = np.abs(np.einsum("ij,ij->i", normal, along[:-2]))
     after = np.abs(np.einsum("ij,ij->i", normal, along[2:]))
     is_wall = (

@@ -66,7 +66,9 @@ def _climb(device: ComputeDevice, sample: Sample) -> Arrays:
         ]
         climbed = [table.astype(np.float32) for table in (losses, *tables)]
         hits = device.upload(points[::every])
-        results.append(device.climb(field, table, hits, *climbed, scale=1.0 / 9000.0))
+        window = device.field_window(field, table, centres[0, :2] - 130.0, centres[0, :2] + 130.0)
+        results.append(device.download(window.cells)[:-1])
+        results.append(device.climb(window, hits, *climbed, scale=1.0 / 9000.0))
     return results
 
 
@@ -117,9 +119,16 @@ def _score_poses(device: ComputeDevice, sample: Sample) -> Arrays:
     yaw = sample.rng.uniform(-np.pi, np.pi, 37)
     places = sample.rng.uniform(-0.2, 1.2, (37, 2)) * size + sample.away
     poses = np.column_stack((places, np.cos(yaw), np.sin(yaw))).astype(np.float32)
+    window = device.field_window(field, table, np.zeros(2), size)
+    counts = sample.rng.integers(-5000, 5000, 256).astype(np.int32)
     return [
-        device.score_poses(field, table, device.upload(points[::every]), poses[:count], reach=reach)
-        for count, every, reach in ((37, 1, 0), (37, 3, 2), (1, 100, 0))
+        device.score_poses(window, device.upload(points[::every]), poses[:count], **options)
+        for count, every, options in (
+            (37, 1, {}),
+            (37, 1, {"table": counts}),
+            (37, 3, {"reach": 2}),
+            (1, 100, {}),
+        )
     ]
 
 
@@ -145,14 +154,14 @@ def _write_scans(
         name: device.upload(np.full((tiles, TILE, TILE), fill, dtype=kind))
         for name, (kind, fill) in kinds.items()
     }
-    table, wanted = device.upload(pages), device.upload(np.zeros(1 + pages.size, dtype=np.int32))
+    table, wanted = device.upload(pages), device.upload(np.zeros_like(pages))
     results: Arrays = []
     for seed, rule in enumerate(rules):
         beams = _beams(replace(sample, seed=sample.seed + seed))
         if isinstance(rule, LikelihoodRule):
             beams = np.ascontiguousarray(beams[:, :4])
         handle = device.upload(beams)
-        results.append(np.array([device.mark_scan(pools, table, handle, rule, wanted)]))
+        results.append(device.mark_scan(pools, table, handle, rule, wanted))
         results.append(device.download(pools["observed"]).copy())
         device.integrate_scan(pools, table, handle, rule)
     return [*results, *fetch(device, [wanted, *pools.values()])]
