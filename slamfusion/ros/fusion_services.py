@@ -65,18 +65,20 @@ class FusionServices:
         response = self._serve(answer)(None, Trigger.Response())
         return bool(response.success), str(response.message)
 
-    def _serve(self, answer: Callable[[Any, Any], None]) -> Callable[[Any, Any], Any]:
+    def _serve(self, answer: Callable[[Any, Any], str | None]) -> Callable[[Any, Any], Any]:
+        """Return a callback of a service; its text, or why it failed, is put into the response."""
+
         def callback(request: Any, response: Any) -> Any:
             try:
-                answer(request, response)
+                _tell(response, answer(request, response), is_done=True)
             except (SlamFusionError, OSError) as error:
                 text = f"not {'loaded' if answer == self._load_map else 'saved'}: {error}"
                 self._node.diagnostics.note("refused", text)
-                _fail(response, text)
+                _tell(response, text, is_done=False)
             except Exception as error:  # noqa: BLE001  (a node must outlive a request)
                 if hasattr(response, "RESULT_UNDEFINED_FAILURE"):
                     response.result = response.RESULT_UNDEFINED_FAILURE
-                _fail(response, self._node.failed(request, error, "service"))
+                _tell(response, self._node.failed(request, error, "service"), is_done=False)
             return response
 
         return callback
@@ -88,11 +90,10 @@ class FusionServices:
         else:
             response.map = published[0]
 
-    def _save_map(self, _: Any, response: Any) -> None:
-        response.message = self._save()
-        response.success = True
+    def _save_map(self, _: Any, __: Any) -> str:
+        return self._save()
 
-    def _save_map_as(self, request: Any, response: Any) -> None:
+    def _save_map_as(self, request: Any, _: Any) -> str:
         given = {item.name: parameter_value_to_python(item.value) for item in request.parameters}
         # By type: a bool is an int, too.
         wrong = {name: v for name, v in given.items() if type(v) not in RULES.get(name, ())}
@@ -100,9 +101,7 @@ class FusionServices:
             wanted = "path, format and mode as texts, free_thresh and occupied_thresh as numbers"
             found = ", ".join(f"{name} = {value!r}" for name, value in wrong.items())
             raise SlamFusionError(f"wanted {wanted}, found {found}")
-        rules = {"image_format" if n == "format" else n: v for n, v in given.items()}
-        response.result.reason = self._save(**rules)
-        response.result.successful = True
+        return self._save(**{"image_format" if n == "format" else n: v for n, v in given.items()})
 
     def _save_for_nav2(self, request: Any, response: Any) -> None:
         """Save the last published map as nav2 does; zeros and '' are defaults."""
@@ -129,11 +128,10 @@ class FusionServices:
         response.map = messages.grid_to_message(grid, f"{grid.name}_map", stamp)
         response.result = LoadMap.Response.RESULT_SUCCESS
 
-    def _reset(self, _: Any, response: Any) -> None:
+    def _reset(self, _: Any, __: Any) -> str:
         self._node.log.warning("reset was called: the newest maps begin a new fused frame")
         self._node.ask_reset()
-        response.success = True
-        response.message = "the newest maps begin a new fused frame"
+        return "the newest maps begin a new fused frame"
 
     def _save(self, path: str | None = None, **rules: Any) -> str:
         """Write the last published map; return the path of its YAML file.
@@ -145,17 +143,15 @@ class FusionServices:
         node = self._node
         if node.published is None:
             raise SlamFusionError(node.session.snapshot.nothing_fused)
-        if path is None:
-            target = save_target(node.settings.save_path, self._root, "save_path")
-        else:
-            target = save_target(path, self._root, "path")
+        given = (node.settings.save_path, "save_path") if path is None else (path, "path")
+        target = save_target(*given, self._root)
         kind = {key: rules[key] for key in ("mode", "image_format") if key in rules}
         refuse_overwriting(
             [
-                (given, file)
+                (saved, file)
                 for entry in node.inputs.entries.values()
-                if (given := saved_path(entry)) is not None
-                for file in map_sources(given)
+                if (saved := saved_path(entry)) is not None
+                for file in map_sources(saved)
             ],
             [(f"the map {target}", file) for file in saved_files(target, **kind)],
         )
@@ -167,21 +163,21 @@ class FusionServices:
         return where
 
 
-def _fail(response: Any, text: str) -> None:
-    """Set an answer of any of the services, except for a map, to a failure."""
+def _tell(response: Any, text: str | None, *, is_done: bool) -> None:
+    """Put a text into an answer that has one."""
     if isinstance(response, SetParametersAtomically.Response):
-        response.result.successful, response.result.reason = False, text
+        response.result.successful, response.result.reason = is_done, text
     elif isinstance(response, Trigger.Response):
-        response.success, response.message = False, text
+        response.success, response.message = is_done, text
 
 
-def save_target(save_path: str, root: Path, name: str) -> Path:
+def save_target(save_path: str, name: str, root: Path) -> Path:
     """Return the path of a map to write, without an ending.
 
     Args:
         save_path: of the parameter or a request; relative to the working folder.
-        root: the folder that it must not leave, resolved.
         name: of the parameter, for errors.
+        root: the folder that it must not leave, resolved.
 
     Raises:
         SlamFusionError: no file name, outside ``root`` (also by a link), or no such folder.

@@ -9,7 +9,6 @@ from __future__ import annotations
 import dataclasses
 import math
 import time
-from dataclasses import dataclass
 from typing import Any
 
 from geometry_msgs.msg import PoseStamped
@@ -44,13 +43,6 @@ PAUSE_S = 1.0
 # A scan that takes longer is reported.
 SLOW_SCAN_S = 5.0
 STRAY = "a stamp far from those before and after it"
-
-
-@dataclass(frozen=True, eq=False)
-class _Queued(QueuedScan):
-    """A waiting scan, and the stamp of its answer."""
-
-    stamp: Any
 
 
 class ProducerNode(NodeBase):
@@ -107,7 +99,8 @@ class ProducerNode(NodeBase):
         self._messages: Worker[UndrawnMap] = Worker(
             self._publish_map, 1, self.failed, f"{name} maps"
         )
-        self._worker: Worker[_Queued | None] = Worker(
+        # A scan and its stamp as sent; None: a map is due.
+        self._worker: Worker[tuple[QueuedScan, Any] | None] = Worker(
             self._work, self.settings.scan_queue, self.failed, f"{name} scans"
         )
         self._inputs = ScanInput(self, self.settings, self._queue, self._begin_new_map)
@@ -126,16 +119,14 @@ class ProducerNode(NodeBase):
     def _queue(self, scan: ArrivedScan) -> None:
         """Queue a scan for the worker, which converts it; the oldest is dropped if full."""
         session, inputs = self._session, self._inputs
-        lost = self._worker.put(
-            _Queued(
-                scan.stamp_s,
-                scan.arrived_s,
-                session.generation,
-                lambda: inputs.read(scan),
-                lambda times: inputs.odometry_at(scan, times, is_first=session.is_before_odometry),
-                scan.message.header.stamp,
-            )
+        queued = QueuedScan(
+            scan.stamp_s,
+            scan.arrived_s,
+            session.generation,
+            lambda: inputs.read(scan),
+            lambda times: inputs.odometry_at(scan, times, is_first=session.is_before_odometry),
         )
+        lost = self._worker.put((queued, scan.message.header.stamp))
         if any(lost):
             self._dropped += sum(map(bool, lost))
             text = (
@@ -186,14 +177,14 @@ class ProducerNode(NodeBase):
 
     # --- the worker's thread -----------------------------------------------------------------
 
-    def _work(self, item: _Queued | None) -> None:
+    def _work(self, item: tuple[QueuedScan, Any] | None) -> None:
         session = self._session
         if item is not None:
-            answer = session.feed(item)
+            answer = session.feed(item[0])
             if session.snapshot.problem:
                 self.diagnostics.note("slam", session.snapshot.problem, Level.ERROR)
             if answer is not None:
-                self._answer(answer, item.stamp)
+                self._answer(answer, item[1])
         is_due = session.is_map_due(self._map_interval_s())
         if item is None or (session.snapshot.unmapped and is_due):
             made = session.read_map(is_path_heard=self._is_path_heard(), is_paused=self._is_paused)
