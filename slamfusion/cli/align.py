@@ -9,19 +9,8 @@ from typing import TYPE_CHECKING
 
 import click
 
+from slamfusion.cli import options
 from slamfusion.cli.help import Command
-from slamfusion.cli.options import (
-    GivenStarts,
-    check_report,
-    common_options,
-    map_resolution_option,
-    output_option,
-    scale_option,
-    start_errors,
-    start_option,
-    with_config,
-    with_starts,
-)
 from slamfusion.cli.output import (
     is_verbose,
     map_server_facts,
@@ -49,14 +38,14 @@ if TYPE_CHECKING:
 )
 @click.argument("reference", type=MAP)
 @click.argument("moving", type=MAP)
-@start_option(
+@options.start(
     "Expected pose of MOVING in the frame of REFERENCE. With NAME: the pose of that map in the "
     "frame of the other one, or of both maps in a common frame.",
     bare_name=True,
 )
-@map_resolution_option
-@scale_option("Find the scale of MOVING, a floor plan: a picture or a DXF drawing.")
-@output_option(
+@options.resolution
+@options.scale("Find the scale of MOVING, a floor plan: a picture or a DXF drawing.")
+@options.output(
     "--output",
     "-o",
     files=lambda path, _: plan_files(path),
@@ -64,12 +53,12 @@ if TYPE_CHECKING:
     help="With --scale: save the plan with its resolution, the map in the frame of the plan, a "
     "world file and an overlay picture to this folder.",
 )
-@with_config("fusion.normalize", "fusion.align", "map_files", "device", "")
-@common_options
+@options.settings("fusion.normalize", "fusion.align", "map_files", "device", "")
+@options.common
 def command(
     reference: Path,
     moving: Path,
-    starts: GivenStarts,
+    starts: options.GivenStarts,
     resolution: float | None,
     scale: PixelSizes | None,
     output: Path | None,
@@ -89,7 +78,7 @@ def command(
         raise click.UsageError("-o and --scale belong together; give both or neither")
     if scale is not None and starts:
         raise click.UsageError("--scale searches everywhere; leave --start out")
-    check_report(output)
+    options.check_report(output)
     device = device_for(config)
     if scale is not None:
         from slamfusion.jobs.plan import align_plan  # noqa: PLC0415
@@ -105,8 +94,8 @@ def command(
     else:
         still, moved = load_maps((reference, moving), config, resolution=resolution, warn=notice)
         starts = _named(starts, moved.name)
-        config = with_starts(config, starts)
-        with start_errors(starts):
+        config = options.with_starts(config, starts)
+        with options.start_errors(starts):
             found = align_maps(still, moved, config, device)
     if as_json:
         factor = None if scale is None else plan.scale
@@ -121,7 +110,7 @@ def command(
     return 0
 
 
-def _named(starts: GivenStarts, moving: str) -> GivenStarts:
+def _named(starts: options.GivenStarts, moving: str) -> options.GivenStarts:
     """Return starts by name; one without is that of the moving map."""
     named = tuple((name or moving, values) for name, values in starts)
     if len(dict(named)) < len(named):

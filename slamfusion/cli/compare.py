@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import click
 
+from slamfusion.cli import options
 from slamfusion.cli.help import Command
-from slamfusion.cli.options import check_picture, common_options, output_option
 from slamfusion.cli.output import NOTHING, notice, print_json, print_table
 from slamfusion.cli.paths import FILE
 from slamfusion.cli.results import print_by_case, table_option
@@ -29,13 +29,13 @@ LEADING = ("error", "wall_f1", "ate_rmse_m", "relations_mean_m", "consistency")
     examples=["compare graph.zip gmapping.zip", "compare all.zip --plot errors.pdf"],
 )
 @click.argument("files", metavar="A.zip [B.zip...]", nargs=-1, required=True, type=FILE)
-@output_option(
+@options.output(
     "--plot",
     "plot_path",
     metavar="FILE",
     help="Draw the errors along the paths and by case: .png, .svg or .pdf.",
 )
-@common_options
+@options.common
 @table_option
 def command(files: tuple[Path, ...], plot_path: Path | None, as_json: bool) -> int:
     """Compare saved results, with p-values.
@@ -48,7 +48,7 @@ def command(files: tuple[Path, ...], plot_path: Path | None, as_json: bool) -> i
     """
     from slamfusion.jobs.compare import compare_results, write_comparison_plot  # noqa: PLC0415
 
-    check_picture("--plot", plot_path)
+    options.check_picture("--plot", plot_path)
     found = compare_results(files)
     if plot_path is not None:
         write_comparison_plot(found, plot_path)

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import click
 
+from slamfusion.cli import options
 from slamfusion.cli.help import Command
-from slamfusion.cli.options import common_options, with_config
 from slamfusion.cli.output import print_json, print_table
 from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
@@ -20,8 +20,8 @@ NUMPY_NOTE = "numpy: always there (--device numpy), without OpenCL and slower"
 
 
 @click.command("doctor", cls=Command)
-@with_config("device")
-@common_options
+@options.settings("device")
+@options.common
 def command(config: RunConfig, as_json: bool) -> int:
     """Check this installation.
 
@@ -58,7 +58,7 @@ def command(config: RunConfig, as_json: bool) -> int:
 
 
 @click.command("devices", cls=Command)
-@common_options
+@options.common
 def devices_command(as_json: bool) -> int:
     """List the OpenCL devices.
 

@@ -8,19 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from slamfusion.cli import options
 from slamfusion.cli.help import Command
-from slamfusion.cli.options import (
-    case_option,
-    check_picture,
-    check_report,
-    common_options,
-    file_option,
-    map_resolution_option,
-    output_option,
-    report_option,
-    truth_scale_option,
-    with_config,
-)
 from slamfusion.cli.output import NOTHING, is_verbose, notice, print_json, print_table, progress_bar
 from slamfusion.cli.paths import CASE_MAP
 from slamfusion.cli.results import (
@@ -68,30 +57,32 @@ def _image_files(image: Path, given: Mapping[str, Any]) -> list[Path]:
     ],
 )
 @click.argument("maps", metavar="MAP...", nargs=-1, required=True, type=CASE_MAP)
-@case_option("--truth", "truths", "MAP", "The true map.", CASE_MAP)
-@truth_scale_option
+@options.case("--truth", "truths", "MAP", "The true map.", CASE_MAP)
+@options.truth_scale
 @click.option(
     "--align/--no-align",
     default=True,
     help="Align each map with the truth first, or use both maps as they are. [default: align]",
 )
-@file_option(
+@options.file(
     "--distances",
     "distances_path",
     "FILE",
     "Distances measured in the building (CSV or YAML), to compare with the map.",
 )
-@report_option("report_dir", _report_folders)
-@output_option(
+@options.report("report_dir", _report_folders)
+@options.output(
     "--image",
     "image_path",
     files=_image_files,
     metavar="FILE",
     help="Write an image of the differences. Several maps add their names.",
 )
-@map_resolution_option
-@with_config("fusion.normalize", "fusion.align", "map_files", "evaluate", "report", "device", "")
-@common_options
+@options.resolution
+@options.settings(
+    "fusion.normalize", "fusion.align", "map_files", "evaluate", "report", "device", ""
+)
+@options.common
 @results_option
 @table_option
 def command(
@@ -133,8 +124,8 @@ def command(
     ):
         if is_wrong:
             raise click.UsageError(message)
-    check_picture("--image", image_path)
-    check_report(report_dir)
+    options.check_picture("--image", image_path)
+    options.check_report(report_dir)
     paths = [item.path for item in maps]
     if is_mutual:
         return _compare(

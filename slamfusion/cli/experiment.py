@@ -10,14 +10,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
+from slamfusion.cli import options
 from slamfusion.cli.help import Group
-from slamfusion.cli.options import (
-    case_option,
-    common_options,
-    output_option,
-    scheduler_option,
-    with_config,
-)
 from slamfusion.cli.output import notice, print_json, print_table, progress_bar
 from slamfusion.cli.paths import CASE_MAP, FILE, InputPath
 from slamfusion.cli.results import results_option, save_results, table_option
@@ -89,8 +83,8 @@ def _experiment(*sections: str) -> Callable[[Callable[..., Experiment]], Callabl
                 raise SlamFusionError(found.failure)
             return 0
 
-        command = with_config(*sections)(common_options(results_option(table_option(run))))
-        return output_option(
+        command = options.settings(*sections)(options.common(results_option(table_option(run))))
+        return options.output(
             "-o",
             "--output",
             "folder",
@@ -194,7 +188,7 @@ def _check_drives(floors: int, recorded: Sequence[LogFiles]) -> None:
 
 
 @command.command("ground-obstacle")
-@scheduler_option("the drives")
+@options.scheduler("the drives")
 @_experiment("experiment.ground_obstacle", "report", "device", "")
 def ground_obstacle(setup: Setup) -> Experiment:
     """Compare three SLAMs and their fusions, with and without an obstacle on the ground.
@@ -208,7 +202,7 @@ def ground_obstacle(setup: Setup) -> Experiment:
 
 
 @command.command("failures")
-@scheduler_option("the drives")
+@options.scheduler("the drives")
 @_experiment("experiment.failures", "report", "device", "")
 def failures(setup: Setup) -> Experiment:
     """Compare three SLAMs and their fusions in difficult places and drives.
@@ -232,10 +226,10 @@ def failures(setup: Setup) -> Experiment:
     metavar="DIR",
     help="Folder with the recordings mit-csail/ and intel/.",
 )
-@case_option(
+@options.case(
     "--inputs", "maps", "MAP", "Saved map of another SLAM. Its name contains the drive.", CASE_MAP
 )
-@case_option("--paths", "paths", "PATH", "The path of such a map, with the same name.")
+@options.case("--paths", "paths", "PATH", "The path of such a map, with the same name.")
 @_experiment("report", "device", "")
 def real_logs(
     setup: Setup, datasets: Path, maps: tuple[CaseFile, ...], paths: tuple[CaseFile, ...]

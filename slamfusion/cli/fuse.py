@@ -9,23 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from slamfusion.cli import options
 from slamfusion.cli.help import Choice, Command, Number
-from slamfusion.cli.options import (
-    GivenStarts,
-    check_report,
-    common_options,
-    file_option,
-    map_resolution_option,
-    open_option,
-    output_option,
-    report_option,
-    scheduler_option,
-    start_errors,
-    start_option,
-    truth_scale_option,
-    with_config,
-    with_starts,
-)
 from slamfusion.cli.output import (
     is_verbose,
     map_server_facts,
@@ -96,7 +81,7 @@ def _report_folders(folder: Path, _: Mapping[str, Any]) -> list[Path]:
     ],
 )
 @click.argument("maps", nargs=-1, required=True, type=MAP)
-@output_option(
+@options.output(
     "-o",
     "--output",
     "out",
@@ -107,8 +92,8 @@ def _report_folders(folder: Path, _: Mapping[str, Any]) -> list[Path]:
     "record OUT.json. Further groups of maps that overlap only each other: OUT-2.yaml ... "
     "OUT.zarr writes a Zarr store, for maps larger than memory.",
 )
-@file_option("--truth", "truth_path", "MAP", "The true map. Adds the errors of all maps.", MAP)
-@truth_scale_option
+@options.file("--truth", "truth_path", "MAP", "The true map. Adds the errors of all maps.", MAP)
+@options.truth_scale
 @click.option(
     "--format",
     "image_format",
@@ -116,21 +101,21 @@ def _report_folders(folder: Path, _: Mapping[str, Any]) -> list[Path]:
     default="pgm",
     help="Image format of the maps. [default: pgm]",
 )
-@report_option("report_dir", _report_folders)
-@open_option
-@start_option(
+@options.report("report_dir", _report_folders)
+@options.open_report
+@options.start(
     "Expected pose of map NAME. Several starts share one frame. A single start is given in the "
     "frame of the reference or of the only other map."
 )
-@map_resolution_option
-@scheduler_option("the alignments")
+@options.resolution
+@options.scheduler("the alignments")
 @click.option(
     "--processes",
     type=Number(int, 1, 64),
     metavar="N",
     help="Run the alignments in this number of processes.",
 )
-@with_config(
+@options.settings(
     "fusion",
     "fusion.normalize",
     "fusion.align",
@@ -142,7 +127,7 @@ def _report_folders(folder: Path, _: Mapping[str, Any]) -> list[Path]:
     "",
     preset=LIKE_PAPER,
 )
-@common_options
+@options.common
 @table_option
 def command(
     maps: tuple[Path, ...],
@@ -152,7 +137,7 @@ def command(
     report_dir: Path | None,
     image_format: str,
     is_opened: bool,
-    starts: GivenStarts,
+    starts: options.GivenStarts,
     resolution: float | None,
     scheduler: str | None,
     processes: int | None,
@@ -177,9 +162,9 @@ def command(
     from slamfusion.jobs.records import Circumstances  # noqa: PLC0415
 
     _check_workers(scheduler, processes)
-    config, store = with_starts(config, starts), out if out.suffix == STORE_END else None
+    config, store = options.with_starts(config, starts), out if out.suffix == STORE_END else None
     check_count(maps)
-    check_report(report_dir)
+    options.check_report(report_dir)
     if store is not None:
         if truth_path is not None or report_dir is not None:
             message = (
@@ -196,7 +181,7 @@ def command(
     given, device = GivenMaps.of(maps, resolution), device_for(config)
     try:
         with (
-            start_errors(starts),
+            options.start_errors(starts),
             executor_for(scheduler, processes, config.device.device) as executor,
             progress_bar() as progress,
         ):

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import click
 
+from slamfusion.cli import options
 from slamfusion.cli.help import Group
-from slamfusion.cli.options import common_options, output_option, with_config
 from slamfusion.cli.output import notice, print_json, print_table
 from slamfusion.cli.paths import FILE
 from slamfusion.config import RunConfig
@@ -26,21 +26,21 @@ def command() -> None:
 
 @command.command("optimize")
 @click.argument("path", metavar="FILE", type=FILE)
-@output_option(
+@options.output(
     "-o",
     "--output",
     "out",
     metavar="OUT.g2o",
     help="Write the graph with its new poses and all edges.",
 )
-@output_option(
+@options.output(
     "--tum",
     "tum_path",
     metavar="OUT.tum",
     help="Write the new poses, with the vertex ids as times.",
 )
-@with_config("graph_optimizer")
-@common_options
+@options.settings("graph_optimizer")
+@options.common
 def optimize_command(
     path: Path, out: Path | None, tum_path: Path | None, config: RunConfig, as_json: bool
 ) -> int:

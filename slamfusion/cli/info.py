@@ -8,8 +8,8 @@ from typing import Any
 
 import click
 
+from slamfusion.cli import options
 from slamfusion.cli.help import Command
-from slamfusion.cli.options import common_options, with_config
 from slamfusion.cli.output import print_json, print_table, progress_bar, say
 from slamfusion.cli.paths import FILE
 from slamfusion.config import RunConfig
@@ -23,8 +23,8 @@ UNITS = {"s": "s", "m": "m", "m2": "m2", "hz": "Hz", "deg": "deg", "percent": "%
     examples=["info drive.log.gz", "info drive.bag --json", "info out/fused.yaml", "info out"],
 )
 @click.argument("path", metavar="LOG|BAG|MAP|RUN", type=FILE)
-@with_config("log", "map_files")
-@common_options
+@options.settings("log", "map_files")
+@options.common
 def command(path: Path, config: RunConfig, as_json: bool) -> int:
     """Describe a log, a bag, a map or a run.
 

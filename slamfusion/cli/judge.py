@@ -9,17 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from slamfusion.cli import options
 from slamfusion.cli.help import Command
-from slamfusion.cli.options import (
-    case_option,
-    check_odometry,
-    check_report,
-    common_options,
-    drive_files,
-    output_option,
-    report_option,
-    with_config,
-)
 from slamfusion.cli.output import (
     NOTHING,
     notice,
@@ -62,23 +53,23 @@ def _report_folders(folder: Path, given: Mapping[str, Any]) -> list[Path]:
 )
 @click.argument("log", type=CASE_FILE)
 @click.argument("paths", metavar="PATH...", nargs=-1, required=True, type=CASE_FILE)
-@case_option("--log", "more_logs", "LOG", "Another log, with its own paths.")
-@case_option(
+@options.case("--log", "more_logs", "LOG", "Another log, with its own paths.")
+@options.case(
     "--truth",
     "truths",
     "FILE",
     "The true trajectory. Adds the errors of the paths and their ranking.",
 )
-@drive_files("paths", of_cases=True)
-@output_option(
+@options.drive_files("paths", of_cases=True)
+@options.output(
     "--fused",
     "fused",
     metavar="FILE.tum",
     help="Fuse the paths into one, as `run` does, rank it with them, and write it to this file.",
 )
-@report_option("report_dir", _report_folders)
-@with_config("log", "trajectory", "report", "device", "")
-@common_options
+@options.report("report_dir", _report_folders)
+@options.settings("log", "trajectory", "report", "device", "")
+@options.common
 @results_option
 @table_option
 def command(
@@ -117,11 +108,11 @@ def command(
         write_judgement,
     )
 
-    check_odometry(odometry, relations)
+    options.check_odometry(odometry, relations)
     if fused is not None and more_logs:
         message = "--fused is of one log; with several (--log) call judge for each"
         raise click.UsageError(message)
-    check_report(report_dir)
+    options.check_report(report_dir)
     logs = (log, *more_logs)
     cases = case_names(logs)
     known = known_files(

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from slamfusion.cli import options
 from slamfusion.cli.help import Choice, Group, Number
 from slamfusion.cli.node import import_rclpy
-from slamfusion.cli.options import common_options
 from slamfusion.cli.output import one_line, print_json, print_table
 from slamfusion.errors import SlamFusionError
 
@@ -52,7 +52,7 @@ def _node_options(function: Callable[..., int]) -> Callable[..., int]:
             return function(client, **given)
 
     wrapper.__doc__ = function.__doc__
-    return node(timeout(common_options(wrapper)))
+    return node(timeout(options.common(wrapper)))
 
 
 @command.command("status")

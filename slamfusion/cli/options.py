@@ -48,7 +48,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 METAVARS = {"%": "PERCENT", "cells": "CELLS", "str": "TEXT", "int": "N", "float": "NUMBER"}
 
 
-def with_config(
+def settings(
     *sections: str, base: RunConfig | None = None, preset: RunConfig | None = None
 ) -> Callable[[F], F]:
     """Add ``--config`` and options for the public fields of sections; pass ``config`` on."""
@@ -88,14 +88,14 @@ def _read(path: Path, defaults: RunConfig) -> RunConfig:
     return load_config(path, defaults)
 
 
-def file_option(
+def file(
     name: str, parameter: str, metavar: str, text: str, kind: InputPath = FILE
 ) -> Callable[[F], F]:
     """Return the option of a command that names an input, which need not exist."""
     return click.option(name, parameter, type=kind, metavar=metavar, help=text)
 
 
-def output_option(
+def output(
     *names: str, files: Files = lambda path, _: [path], required: bool = False, **words: str
 ) -> Callable[[F], F]:
     """Return the option of a command that says where something is written."""
@@ -118,7 +118,7 @@ def check_report(folder: Path | None) -> None:
         import slamfusion.report  # noqa: F401, PLC0415  (says what to install)
 
 
-def case_option(
+def case(
     name: str, parameter: str, metavar: str, text: str, kind: CasePath = CASE_FILE
 ) -> Callable[[F], F]:
     """Return the option of a command that names a file of each of several cases."""
@@ -126,7 +126,7 @@ def case_option(
     return click.option(name, parameter, type=kind, multiple=True, metavar=metavar, help=text)
 
 
-_CONFIG_FILE = file_option(
+_CONFIG_FILE = file(
     "--config",
     "config_file",
     "FILE",
@@ -142,9 +142,9 @@ _LIKE_PAPER = click.option(
 )
 
 
-def report_option(parameter: str, folders: Files = lambda folder, _: [folder]) -> Callable[[F], F]:
+def report(parameter: str, folders: Files = lambda folder, _: [folder]) -> Callable[[F], F]:
     """Return the option ``--report`` of a command that can write one."""
-    return output_option(
+    return output(
         "--report",
         parameter,
         files=lambda path, given: [
@@ -155,14 +155,14 @@ def report_option(parameter: str, folders: Files = lambda folder, _: [folder]) -
     )
 
 
-open_option = click.option(
+open_report = click.option(
     "--open", "is_opened", is_flag=True, help="Open the report in the browser when it is written."
 )
 
 
 def drive_files(judged: str, *, of_cases: bool = False) -> Callable[[F], F]:
     """Give a command ``--relations``, ``--odometry``, ``--scan-odometry``: more files of LOG."""
-    option = case_option if of_cases else file_option
+    option = case if of_cases else file
     texts = {
         "--relations": "Known motions between pairs of times [K09]. Adds the errors of the "
         f"{judged}.",
@@ -202,7 +202,7 @@ def drive_options(judged: str) -> Callable[[F], F]:
     return decorate
 
 
-def map_resolution_option(function: F) -> F:
+def resolution(function: F) -> F:
     """Give a command ``--resolution`` for images that come without a YAML file."""
     decorate = click.option(
         "--resolution",
@@ -213,7 +213,7 @@ def map_resolution_option(function: F) -> F:
     return decorate(function)
 
 
-def scale_option(text: str) -> Callable[[F], F]:
+def scale(text: str) -> Callable[[F], F]:
     """Give a command ``--scale``: the size that the pixels of a floor plan may have, metres."""
 
     def sizes(_: click.Context, __: click.Parameter, value: str | None) -> PixelSizes | None:
@@ -238,13 +238,13 @@ def scale_option(text: str) -> Callable[[F], F]:
 
 
 # Where the truth may be a floor plan.
-truth_scale_option = scale_option(
+truth_scale = scale(
     "The true map is a floor plan, whose scale is searched: a picture or a DXF drawing. What the "
     "robot has not seen of it does not count."
 )
 
 
-def common_options(function: F) -> F:
+def common(function: F) -> F:
     """Give a command ``--json`` (as ``as_json``), ``-v`` and ``--debug``; check its paths."""
 
     @functools.wraps(function)
@@ -338,7 +338,7 @@ def _override(config: RunConfig, given: Sequence[tuple[ConfigOption, Any]]) -> R
 # --- --scheduler ----------------------------------------------------------------------------------
 
 
-def scheduler_option(tasks: str) -> Callable[[F], F]:
+def scheduler(tasks: str) -> Callable[[F], F]:
     """Return the option ``--scheduler`` of a command."""
 
     def checked(_: click.Context, __: click.Parameter, where: str | None) -> str | None:
@@ -365,7 +365,7 @@ def scheduler_option(tasks: str) -> Callable[[F], F]:
 # --- --seeds --------------------------------------------------------------------------------------
 
 
-def seeds_option(places: str) -> Callable[[F], F]:
+def seeds(places: str) -> Callable[[F], F]:
     """Return the option ``--seeds`` of a command; ``places`` says where the results go."""
 
     def seeds(_: click.Context, __: click.Parameter, text: str | None) -> tuple[int, ...]:
@@ -394,7 +394,7 @@ def seeds_option(places: str) -> Callable[[F], F]:
 GivenStarts = tuple[tuple[str, tuple[float, ...]], ...]
 
 
-def start_option(text: str, *, bare_name: bool = False) -> Callable[[F], F]:
+def start(text: str, *, bare_name: bool = False) -> Callable[[F], F]:
     """Give a command ``--start`` as its argument ``starts``; ``bare_name``: it may have no name."""
     form = "[NAME=]X,Y,YAW[,M,RAD]" if bare_name else "NAME=X,Y,YAW[,M,RAD]"
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from slamfusion.cli.options import output_option
+from slamfusion.cli import options
 from slamfusion.cli.output import NOTHING, Settings, Table, notice, one_line, print_table
 from slamfusion.jobs.documents import number, spread
 
@@ -26,7 +26,7 @@ SUFFIX = ".zip"
 
 def results_option(function: F) -> F:
     """Give a command ``--save-results``, which it then hands to ``save_results``."""
-    option = output_option(
+    option = options.output(
         "--save-results",
         "results_path",
         metavar="FILE.zip",
@@ -162,8 +162,8 @@ FORMULA = ("=", "+", "-", "@")
 
 
 def table_option(function: F) -> F:
-    """Give a command ``--table``; it stands right above the command, below ``common_options``."""
-    option = output_option(
+    """Give a command ``--table``; it stands right above the command, below ``options.common``."""
+    option = options.output(
         "--table",
         "table_path",
         files=_files,

@@ -11,24 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from slamfusion.cli import options
 from slamfusion.cli.help import Command
-from slamfusion.cli.options import (
-    GivenStarts,
-    check_odometry,
-    common_options,
-    drive_options,
-    file_option,
-    map_resolution_option,
-    open_option,
-    output_option,
-    scheduler_option,
-    seeds_option,
-    start_errors,
-    start_option,
-    truth_scale_option,
-    with_config,
-    with_starts,
-)
 from slamfusion.cli.output import (
     Settings,
     is_verbose,
@@ -128,7 +112,7 @@ def _files(out: Path, given: Mapping[str, Any]) -> list[Path]:
     ],
 )
 @click.argument("logs", metavar="LOG...", nargs=-1, required=True, type=FILE)
-@output_option(
+@options.output(
     "-o",
     "--output",
     "out",
@@ -155,19 +139,19 @@ def _files(out: Path, given: Mapping[str, Any]) -> list[Path]:
     help="Paths of these maps, each in its map's frame. The scans rank them, and they join the "
     "fused path. The file name assigns a path to its map: MAP.tum, or MAP=PATH.",
 )
-@file_option("--truth", "truth_map", "MAP", "The true map. Adds the errors of all maps.", MAP)
-@truth_scale_option
-@file_option("--truth-trajectory", "truth", "FILE", "The true path. Adds the errors of all paths.")
-@start_option(
+@options.file("--truth", "truth_map", "MAP", "The true map. Adds the errors of all maps.", MAP)
+@options.truth_scale
+@options.file("--truth-trajectory", "truth", "FILE", "The true path. Adds the errors of all paths.")
+@options.start(
     "Expected pose of the saved map or SLAM NAME. Several starts share one frame. A single start "
     "is given in the start frame of the drive."
 )
-@drive_options("paths")
-@map_resolution_option
-@scheduler_option("several logs or seeds")
-@seeds_option("DIR/LOG/seed-N")
-@open_option
-@with_config(
+@options.drive_options("paths")
+@options.resolution
+@options.scheduler("several logs or seeds")
+@options.seeds("DIR/LOG/seed-N")
+@options.open_report
+@options.settings(
     "run",
     "fusion",
     "fusion.normalize",
@@ -182,13 +166,13 @@ def _files(out: Path, given: Mapping[str, Any]) -> list[Path]:
     "",
     base=RUN_DEFAULTS,
 )
-@common_options
+@options.common
 @results_option
 @table_option
 def command(
     logs: tuple[Path, ...],
     out: Path,
-    starts: GivenStarts,
+    starts: options.GivenStarts,
     scheduler: str | None,
     seeds: tuple[int, ...],
     results_path: Path | None,
@@ -213,9 +197,9 @@ def command(
     if importlib.util.find_spec("matplotlib") is None:
         import slamfusion.report  # noqa: F401, PLC0415  (says what to install)
     if len(logs) == 1:
-        check_odometry(asked["odometry"], asked["relations"])
-    with start_errors(starts):
-        config = with_starts(config, starts)
+        options.check_odometry(asked["odometry"], asked["relations"])
+    with options.start_errors(starts):
+        config = options.with_starts(config, starts)
         if len(logs) > 1 or seeds:
             if len(logs) > 1:
                 _refuse_files_of_one_log(config, asked)
@@ -383,10 +367,10 @@ def _refuse_files_of_one_log(config: RunConfig, asked: Mapping[str, Any]) -> Non
 
 def _inputs(logs: Sequence[Path], asked: Mapping[str, Any]) -> list[tuple[str, str, Path]]:
     """Return role, case and path of the files that runs read."""
-    options = {name: option for name, option in OF_ONE_LOG.items() if name != "saved_paths"}
+    kinds = {name: option for name, option in OF_ONE_LOG.items() if name != "saved_paths"}
     return [("log", log.stem, log) for log in logs] + [
         (option.removeprefix("--").replace("-", " "), "", asked[name])
-        for name, option in options.items()
+        for name, option in kinds.items()
         if asked[name] is not None
     ]
 
@@ -407,12 +391,12 @@ def _run_several(
     from slamfusion.jobs.run_many import RunsDocument, run_logs  # noqa: PLC0415
 
     # Workers have another working folder.
-    options = {**asked, "saved_maps": tuple(path.absolute() for path in asked["saved_maps"])}
+    given = {**asked, "saved_maps": tuple(path.absolute() for path in asked["saved_maps"])}
     with (
         executor_for(scheduler, device=config.device.device) as executor,
         progress_bar() as progress,
     ):
-        runs = run_logs(tasks, config, options, executor=executor, progress=progress)
+        runs = run_logs(tasks, config, given, executor=executor, progress=progress)
     for run in runs:
         for sentence in run.warnings:
             notice(f"{run.name}: {sentence}")

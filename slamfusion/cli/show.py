@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from slamfusion.cli import options
 from slamfusion.cli.help import Command, Number
-from slamfusion.cli.options import common_options
 from slamfusion.cli.output import notice, print_json
 from slamfusion.cli.paths import FILE
 from slamfusion.config import FusionNodeConfig
@@ -58,7 +58,7 @@ MOST_NAMED = 8
     metavar="NAME",
     help="Drive of an experiment to show. [default: the first]",
 )
-@common_options
+@options.common
 def command(folder: Path, port: int, host: str, drive: str, as_json: bool) -> int:
     """Show the maps of a run in the browser.
 

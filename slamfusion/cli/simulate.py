@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from slamfusion.cli import options
 from slamfusion.cli.help import Command
-from slamfusion.cli.options import common_options, output_option, with_config
 from slamfusion.cli.output import notice, print_json, print_table, progress_bar
 from slamfusion.cli.paths import MAP, InputPath
 from slamfusion.config import COURSES, RunConfig
@@ -50,7 +50,7 @@ def _files(folder: Path, given: Mapping[str, Any]) -> list[Path]:
     examples=["simulate office -o out/drive", "simulate f16 --lidar rplidar --seed 1 -o out/drive"],
 )
 @click.argument("course", type=InputPath(_read))
-@output_option(
+@options.output(
     "-o",
     "--output",
     "folder",
@@ -59,8 +59,8 @@ def _files(folder: Path, given: Mapping[str, Any]) -> list[Path]:
     metavar="DIR",
     help="Write the log, the truth and the course to this folder.",
 )
-@with_config("simulate", "device", "")
-@common_options
+@options.settings("simulate", "device", "")
+@options.common
 @click.pass_context
 def command(
     context: click.Context, course: Path, folder: Path, config: RunConfig, as_json: bool

@@ -9,18 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from slamfusion.cli import options
 from slamfusion.cli.help import Command, Number, ProducerGroup
-from slamfusion.cli.options import (
-    check_odometry,
-    check_report,
-    common_options,
-    drive_options,
-    file_option,
-    output_option,
-    report_option,
-    seeds_option,
-    with_config,
-)
 from slamfusion.cli.output import notice, print_facts, print_json, print_table, progress_bar
 from slamfusion.cli.paths import FILE, MAP, stem_of
 from slamfusion.cli.results import print_items, table_option
@@ -51,13 +41,13 @@ def _state_options(function: Any) -> Any:
     stop_after = click.option(
         "--stop-after", "stop_after", type=Number(int, 1), metavar="N", help="Stop after N scans."
     )
-    resume = file_option(
+    resume = options.file(
         "--resume",
         "resume",
         "FILE",
         "Continue from a saved state with its settings; skip the scans of LOG that it knows.",
     )
-    save_state = output_option(
+    save_state = options.output(
         "--save-state", "state", metavar="FILE", help="Write the final state, for --resume."
     )
     return save_state(resume(stop_after(function)))
@@ -72,7 +62,7 @@ def _make_command(name: str) -> click.Command:
 
     @click.command(name, cls=Command, examples=[f"slam {name} drive.log.gz -o out/{name}"])
     @click.argument("log", type=FILE)
-    @output_option(
+    @options.output(
         "-o",
         "--output",
         "out",
@@ -81,16 +71,16 @@ def _make_command(name: str) -> click.Command:
         metavar="OUT",
         help="Write the map OUT.yaml, OUT.pgm, the path OUT.tum and the record OUT.json.",
     )
-    @seeds_option("OUT_seed-N")
-    @drive_options("path")
-    @file_option("--truth", "truth", "FILE", "The true trajectory. Adds the errors of the path.")
-    @file_option("--truth-map", "truth_map", "MAP", "The true map. Adds the map errors.", MAP)
-    @report_option("report")
+    @options.seeds("OUT_seed-N")
+    @options.drive_options("path")
+    @options.file("--truth", "truth", "FILE", "The true trajectory. Adds the errors of the path.")
+    @options.file("--truth-map", "truth_map", "MAP", "The true map. Adds the map errors.", MAP)
+    @options.report("report")
     @(_state_options if record.load is not None else lambda function: function)
-    @with_config(
+    @options.settings(
         f"producers.{name}", "log", "trajectory", "map_files", "report", "device", "", base=base
     )
-    @common_options
+    @options.common
     @table_option
     def run(log: Path, out: Path, seeds: tuple[int, ...], **asked: Any) -> int:
         if not seeds:
@@ -127,12 +117,12 @@ def _run(
     """Run, measure, write, print."""
     from slamfusion.jobs.map_log import map_log, save_mapped_log  # noqa: PLC0415
 
-    check_odometry(asked["odometry"], asked["relations"])
+    options.check_odometry(asked["odometry"], asked["relations"])
     if resume is not None:
         from slamfusion.io.files import open_regular  # noqa: PLC0415  (OpenCV loads slowly)
 
         open_regular(resume, SlamFusionError).close()
-    check_report(report)
+    options.check_report(report)
     with progress_bar() as progress:
         mapped = map_log(
             log,

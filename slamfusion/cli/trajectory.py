@@ -8,15 +8,8 @@ from typing import TYPE_CHECKING
 
 import click
 
+from slamfusion.cli import options
 from slamfusion.cli.help import Command
-from slamfusion.cli.options import (
-    case_option,
-    check_report,
-    common_options,
-    file_option,
-    report_option,
-    with_config,
-)
 from slamfusion.cli.output import notice, print_json
 from slamfusion.cli.paths import CASE_FILE, MAP
 from slamfusion.cli.results import print_items, results_option, save_results, table_option
@@ -51,38 +44,38 @@ def paths_in(item: CaseFile) -> list[CaseFile]:
     ],
 )
 @click.argument("estimates", metavar="EST...", nargs=-1, required=True, type=CASE_FILE)
-@case_option(
+@options.case(
     "--relations",
     "relations",
     "FILE",
     "Known motions between pairs of times: lines of 't1 t2 x y z roll pitch yaw' [K09].",
 )
-@case_option(
+@options.case(
     "--odometry",
     "odometry",
     "FILE",
     "Raw odometry of the whole run. It carries the nearest pose to the time of a relation.",
 )
-@case_option(
+@options.case(
     "--log",
     "logs",
     "LOG",
     "The log of EST. With --odometry, poses are matched by the odometry of their scan instead of "
     "their stamp.",
 )
-@case_option(
+@options.case(
     "--truth", "truths", "FILE", "The true trajectory, for absolute and relative errors (ATE, RPE)."
 )
-@file_option(
+@options.file(
     "--map",
     "map_path",
     "MAP",
     "A map in the frame of EST, drawn under the path in the report.",
     MAP,
 )
-@report_option("report_dir")
-@with_config("trajectory", "log", "map_files", "report")
-@common_options
+@options.report("report_dir")
+@options.settings("trajectory", "log", "map_files", "report")
+@options.common
 @results_option
 @table_option
 def command(
@@ -126,7 +119,7 @@ def command(
     ):
         if is_wrong:
             raise click.UsageError(message)
-    check_report(report_dir)
+    options.check_report(report_dir)
 
     cases = shared_case_names(truths, relations)
     known = known_files(cases, log=logs, relations=relations, odometry=odometry, truth=truths)
