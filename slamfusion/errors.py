@@ -79,11 +79,17 @@ class FleetError(SlamFusionError):
 
 
 class AlignmentError(SlamFusionError):
-    """The grids could not be aligned; ``pairs`` holds the tried ``Alignment`` records."""
+    """The grids could not be aligned.
+
+    Attributes:
+        pairs: the tried ``Alignment`` records.
+        grids: the maps of ``fuse_maps``.
+    """
 
     def __init__(self, message: str, pairs: tuple[Any, ...] = ()) -> None:
         super().__init__(message)
         self.pairs = pairs
+        self.grids: tuple[Any, ...] = ()
 
 
 class MemoryBudgetError(SlamFusionError):

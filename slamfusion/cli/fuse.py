@@ -30,14 +30,7 @@ from slamfusion.cli.tables import (
 )
 from slamfusion.config import RunConfig
 from slamfusion.errors import AlignmentError
-from slamfusion.jobs.inputs import (
-    LIKE_PAPER,
-    GivenMaps,
-    PixelSizes,
-    device_for,
-    load_maps,
-    load_truth,
-)
+from slamfusion.jobs.inputs import LIKE_PAPER, GivenMaps, PixelSizes, device_for
 from slamfusion.jobs.outputs import (
     AGREEMENT_END,
     FAILED,
@@ -151,34 +144,17 @@ def command(
     of the first of them.
     """
     from slamfusion.fleet import executor_for  # noqa: PLC0415
-    from slamfusion.jobs.fuse import (  # noqa: PLC0415
-        check_count,
-        check_stores,
-        fuse_maps,
-        save_fused_maps,
-        write_failed_fusion,
-    )
+    from slamfusion.jobs.fuse import fuse_maps, save_fused_maps, write_failed_fusion  # noqa: PLC0415
     from slamfusion.jobs.fuse_documents import FuseDocument  # noqa: PLC0415
     from slamfusion.jobs.records import Circumstances  # noqa: PLC0415
 
     _check_workers(scheduler, processes)
     config, store = options.with_starts(config, starts), out if out.suffix == STORE_END else None
-    check_count(maps)
     options.check_report(report_dir)
-    if store is not None:
-        if truth_path is not None or report_dir is not None:
-            message = (
-                f"--truth and --report look at the whole map, and {out} need not fit into memory"
-            )
-            raise click.UsageError(message)
-        check_stores(store, len(maps))
-    grids = load_maps(maps, config, resolution=resolution, warn=notice)
-    truth = (
-        None
-        if truth_path is None
-        else load_truth(truth_path, config, resolution=resolution, scale=scale, warn=notice)
-    )
-    given, device = GivenMaps.of(maps, resolution), device_for(config)
+    if store is not None and (truth_path is not None or report_dir is not None):
+        message = f"--truth and --report look at the whole map, and {out} need not fit into memory"
+        raise click.UsageError(message)
+    device = device_for(config)
     try:
         with (
             options.start_errors(starts),
@@ -186,17 +162,18 @@ def command(
             progress_bar() as progress,
         ):
             fused = fuse_maps(
-                grids, config, device,
-                truth=truth, scale=scale, store=store, given=given, executor=executor,
-                progress=progress,
+                maps, config, device,
+                truth=truth_path, scale=scale, resolution=resolution, store=store,
+                executor=executor, progress=progress, warn=notice,
             )  # fmt: skip
     except AlignmentError as error:
         # The report of an earlier fusion stays, as its map does.
         if report_dir is not None:
-            write_failed_fusion(error, grids, config, report_dir, device=device.name)
+            write_failed_fusion(error, config, report_dir, device=device.name)
         if as_json:
             circumstances = Circumstances(config, device.name)
-            print_json(FuseDocument.failed(error, grids, circumstances, given))
+            given = GivenMaps.of(maps, resolution)
+            print_json(FuseDocument.failed(error, circumstances, given))
         else:
             print_pairs(error.pairs, device.name)
         raise

@@ -148,17 +148,6 @@ class FusedMaps:
         )
 
 
-def check_count(maps: Sequence[object]) -> None:
-    """Raise ``SlamFusionError`` for fewer than two maps."""
-    if len(maps) < LEAST_FUSED:
-        name = "no map was given"
-        if maps:
-            only = maps[0]
-            name = f"{only.name if isinstance(only, OccupancyGrid) else only}: one map alone"
-            name += " cannot be fused"
-        raise SlamFusionError(f"{name}; fuse needs at least two")
-
-
 def fuse_maps(
     maps: Sequence[MapInput],
     config: RunConfig | None = None,
@@ -168,7 +157,6 @@ def fuse_maps(
     scale: PixelSizes | None = None,
     resolution: float | None = None,
     store: str | Path | None = None,
-    given: GivenMaps | None = None,
     executor: Executor | None = None,
     progress: Progress | None = None,
     warn: Warn = _LOG.warning,
@@ -184,11 +172,10 @@ def fuse_maps(
             need not fit into memory; further groups go to ``OUT-2.zarr`` ... None may exist. It has
             the arrays ``fused`` (-1, 0, 100) and ``agreement`` (-1, 0 to 100). Maps of up to
             ``FILES_CELLS`` cells are also written as files of a map server next to it.
-        given: the files of maps that are in memory; default: those that are read.
         executor: aligns the pairs and decides tiles for a store, see ``slamfusion.fleet``.
 
     Raises:
-        AlignmentError: fewer than two maps agree; its ``pairs`` hold the alignments.
+        AlignmentError: fewer than two maps agree; it has the maps and the alignments.
             ``AllRequiredError``: a required map was left out.
         MapFileError: a map cannot be read, a store exists, or Zarr is not installed.
         ConfigError: the configured reference is not an input. ``StartError``: a start names no
@@ -198,22 +185,34 @@ def fuse_maps(
         SlamFusionError: there is only one map.
     """
     config = config or RunConfig()
-    check_count(maps)
+    if len(maps) < LEAST_FUSED:
+        name = "no map was given"
+        for only in maps:
+            shown = only.name if isinstance(only, OccupancyGrid) else only
+            name = f"{shown}: one map alone cannot be fused"
+        raise SlamFusionError(f"{name}; fuse needs at least two")
     if store is not None:
-        check_stores(Path(store), len(maps))
+        for path in group_stores(Path(store), len(maps) // 2):
+            check_store(path)
     grids = load_maps(maps, config, resolution=resolution, warn=warn)
-    given = given or GivenMaps.of(maps, resolution)
+    given = GivenMaps.of(maps, resolution)
     names = [grid.name for grid in grids]
     starts = place_starts(config.start, names, config.fusion.reference)
     true_grid = None
     if truth is not None:
         true_grid = load_truth(truth, config, resolution=resolution, scale=scale, warn=warn)
     device = device_for(config, device)
-    if store is not None:
-        return _fuse_into(Path(store), grids, config, device, starts, given, executor, progress)
-    result = fuse_grids(grids, config.fusion, device, progress, starts=starts, executor=executor)
-    if config.fusion.require_all:
-        _require_all(result.inputs, result.pairs, result)
+    try:
+        if store is not None:
+            return _fuse_into(Path(store), grids, config, device, starts, given, executor, progress)
+        result = fuse_grids(
+            grids, config.fusion, device, progress, starts=starts, executor=executor
+        )
+        if config.fusion.require_all:
+            _require_all(result.inputs, result.pairs, result)
+    except AlignmentError as error:
+        error.grids = tuple(grids)
+        raise
     evaluations: tuple[Evaluation, ...] = ()
     if true_grid is not None:
         measured = [*grids, result.fused.with_name("fused")]
@@ -311,12 +310,6 @@ def _vote_into(
     )
 
 
-def check_stores(store: Path, count: int) -> None:
-    """Raise ``MapFileError`` if a store exists, also a further group's, or Zarr is missing."""
-    for path in group_stores(store, count // 2):
-        check_store(path)
-
-
 def group_stores(store: Path, count: int) -> tuple[Path, ...]:
     """Return the stores of groups: OUT.zarr, OUT-2.zarr ..."""
     stems = group_stems(store.with_suffix(""), count)
@@ -377,12 +370,7 @@ def save_fused_maps(
 
 
 def write_failed_fusion(
-    error: AlignmentError,
-    grids: Sequence[OccupancyGrid],
-    config: RunConfig,
-    directory: Path,
-    *,
-    device: str,
+    error: AlignmentError, config: RunConfig, directory: Path, *, device: str
 ) -> Path:
     """Write the report of maps that were not fused, return its path; an earlier fusion's stays."""
     from slamfusion.report import write_failure_report, write_fusion_report  # noqa: PLC0415
@@ -391,5 +379,5 @@ def write_failed_fusion(
     if isinstance(error, AllRequiredError) and error.result is not None:
         return write_fusion_report(error.result, folder, config=config, failure=str(error))
     return write_failure_report(
-        grids, error.pairs, str(error), folder, config=config, device=device
+        error.grids, error.pairs, str(error), folder, config=config, device=device
     )

@@ -207,15 +207,11 @@ class FuseDocument:
 
     @classmethod
     def failed(
-        cls,
-        error: AlignmentError,
-        grids: Sequence[OccupancyGrid],
-        circumstances: Circumstances,
-        given: GivenMaps = NO_FILES,
+        cls, error: AlignmentError, circumstances: Circumstances, given: GivenMaps = NO_FILES
     ) -> FuseDocument:
         """Describe maps of which nothing was fused."""
         return cls(
-            fusion=FusionRecord.failed(grids, error.pairs, str(error)),
+            fusion=FusionRecord.failed(error.grids, error.pairs, str(error)),
             given=given,
             error=str(error),
             circumstances=circumstances,
