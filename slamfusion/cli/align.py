@@ -120,7 +120,6 @@ def _named(starts: options.GivenStarts, moving: str) -> options.GivenStarts:
 
 
 def _print_files(folder: Path) -> None:
-    """Print what was saved of a plan, and what to do with it."""
     plan, placed = folder / f"{PLAN}.yaml", folder / f"{PLACED}.yaml"
     words = f"{shlex.quote(str(placed))} --truth {shlex.quote(str(plan))} --scale free"
     print_facts(

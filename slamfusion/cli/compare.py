@@ -78,7 +78,6 @@ def print_comparison(found: ComparedResults) -> None:
 
 
 def _print_figures(found: ComparedResults) -> None:
-    """Print every figure of every two results."""
     from slamfusion.evaluation.measured import figure_of  # noqa: PLC0415  (loads slowly)
 
     has_names = len(found.results) > 2
@@ -116,7 +115,6 @@ def _print_figures(found: ComparedResults) -> None:
 
 
 def _numbers(*values: float | None) -> list[str]:
-    """Return numbers as cells."""
     return [number(value, DIGITS) for value in values]
 
 

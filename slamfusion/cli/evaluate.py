@@ -160,7 +160,6 @@ def command(
 
 
 def _compare(grids: Sequence[OccupancyGrid], config: RunConfig, as_json: bool) -> int:
-    """Compare maps with each other."""
     from slamfusion.jobs.evaluate import EvaluateDocument, agreement_items, compare_maps  # noqa: PLC0415
     from slamfusion.jobs.records import Settings  # noqa: PLC0415
 
@@ -200,7 +199,6 @@ def _compare(grids: Sequence[OccupancyGrid], config: RunConfig, as_json: bool) -
 def _inputs(
     maps: Sequence[Path], truths: Mapping[str, Path], distances: Path | None
 ) -> list[tuple[str, str, Path]]:
-    """Return role, case and path of the files that were read."""
     from slamfusion.jobs.results import map_inputs  # noqa: PLC0415
 
     found = map_inputs("map", "", maps)
@@ -210,7 +208,6 @@ def _inputs(
 
 
 def _print_distances(comparison: DistanceComparison) -> None:
-    """Print each measured distance next to the map's."""
     rows = [
         [
             row.name,

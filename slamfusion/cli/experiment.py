@@ -38,7 +38,6 @@ def _files(folder: Path, _: Mapping[str, Any]) -> list[Path]:
 
 
 def _read_of_drive(text: Path, given: Mapping[str, Any]) -> list[Path]:
-    """Return the files of ``LOG:RELATIONS[:ODOMETRY]``."""
     parts = astuple(_drive_files(text))
     return [file for part in parts if part is not None for file in FILE.files(part, given)]
 

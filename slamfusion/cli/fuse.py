@@ -197,7 +197,6 @@ def command(
 
 
 def _print_result(fused: FusedMaps, stem: Path, report_dir: Path | None) -> None:
-    """Print the alignments, the evaluation and where everything went."""
     print_fusion(fused.result, fused.doubled, fused.config.fusion.reference)
     print()
     for path, own in zip(fused.stores, fused.stems, strict=True):

@@ -174,7 +174,6 @@ def command(
 
 
 def _print(found: JudgedPaths) -> None:
-    """Print the paths, the rankings by what is known, and which one to use."""
     from slamfusion.jobs.judge import errors_m  # noqa: PLC0415
 
     answer = found.recommendation

@@ -86,7 +86,6 @@ def watch_command(client: Any, as_json: bool) -> int:
 
 
 def _words(line: LiveLineJson) -> str:
-    """Return a line of the diagnostics as text."""
     mark = "" if line["level"] == "ok" else f"{line['level'].upper()} "
     return one_line(f"{line['name']}: {mark}{line['message']}")
 
@@ -157,7 +156,6 @@ def _tell(answer: LiveAnswerDocument, as_json: bool) -> int:
 
 
 def _print(found: LiveStatusDocument) -> None:
-    """Print the inputs as a table, and the fusion in words."""
     inputs = found["inputs"]
     rows = [
         [

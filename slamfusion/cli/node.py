@@ -59,8 +59,6 @@ class _Node(Command):
 
 
 def _make_command(name: str) -> click.Command:
-    """Return the command of one node."""
-
     @click.command(
         name,
         cls=_Node,

@@ -82,7 +82,6 @@ def settings(
 
 
 def _read(path: Path, defaults: RunConfig) -> RunConfig:
-    """Read a file of settings, also those of producers."""
     from slamfusion.slam.registry import load_config  # noqa: PLC0415  (only where one is given)
 
     return load_config(path, defaults)

@@ -252,7 +252,6 @@ def _print(run: LogRun, *, as_json: bool) -> None:
 
 
 def _print_tables(run: LogRun) -> None:
-    """Print what to use, one table of the SLAMs, the files and what to do next."""
     if run.recommendation is not None:
         print_recommendation(run.recommendation)
         print()
@@ -316,7 +315,6 @@ def _print_slams(run: LogRun) -> None:
 
 
 def _print_details(run: LogRun) -> None:
-    """Print the alignment, the gaps between the paths, all errors, the evidence and the times."""
     for sentence in run.log_notes():
         say(f"the log: {sentence}")
     if run.usable is not None:
@@ -356,7 +354,6 @@ OF_ONE_LOG = {
 
 
 def _refuse_files_of_one_log(config: RunConfig, asked: Mapping[str, Any]) -> None:
-    """Refuse options that belong to one log."""
     for name, option in OF_ONE_LOG.items():
         if asked[name]:
             message = f"{option} belongs to one log; run each log that has such a file alone"
@@ -366,7 +363,6 @@ def _refuse_files_of_one_log(config: RunConfig, asked: Mapping[str, Any]) -> Non
 
 
 def _inputs(logs: Sequence[Path], asked: Mapping[str, Any]) -> list[tuple[str, str, Path]]:
-    """Return role, case and path of the files that runs read."""
     kinds = {name: option for name, option in OF_ONE_LOG.items() if name != "saved_paths"}
     return [("log", log.stem, log) for log in logs] + [
         (option.removeprefix("--").replace("-", " "), "", asked[name])
@@ -385,7 +381,6 @@ def _run_several(
     results_path: Path | None,
     as_json: bool,
 ) -> int:
-    """Run the main job on each log with each seed, and print the outcome of each."""
     from slamfusion.fleet import executor_for  # noqa: PLC0415
     from slamfusion.jobs.records import Settings as SettingsUsed  # noqa: PLC0415
     from slamfusion.jobs.run_many import RunsDocument, run_logs  # noqa: PLC0415
@@ -429,7 +424,6 @@ def _run_several(
 
 
 def _print_logs(runs: Sequence[RunOfLog], out: Path) -> None:
-    """Print a row for each log, with its folder, and what to do next."""
     print_table(
         ("log ", "maps fused", "use ", "time [s]", "folder "),
         [

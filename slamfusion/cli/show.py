@@ -188,7 +188,6 @@ def _finished(title: str) -> Finished:
 
 
 def _read_record(path: Path, record: Mapping[str, Any]) -> Finished:
-    """Read a run or a fusion by its record."""
     from slamfusion.web import scene  # noqa: PLC0415  (loads slowly)
 
     inputs, stem, is_run = record["inputs"], path.with_suffix(""), path.name == RUN_RECORD
@@ -247,7 +246,6 @@ def _read_record(path: Path, record: Mapping[str, Any]) -> Finished:
 
 
 def _put_status(shown: Scene, record: Mapping[str, Any], entries: list[dict[str, Any]]) -> None:
-    """Show the recommendation of a record, its events and figures."""
     from slamfusion.evidence.recommendation import Recommendation  # noqa: PLC0415  (loads slowly)
 
     figures = {
@@ -284,7 +282,6 @@ def _events(record: Mapping[str, Any]) -> Iterable[tuple[float, Any, str]]:
 
 
 def _read_maps(folder: Path, files: Mapping[str, Path]) -> Finished:
-    """Read maps without a record."""
     from slamfusion.web import scene  # noqa: PLC0415  (loads slowly)
 
     found = _finished(folder.absolute().name)

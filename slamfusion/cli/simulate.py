@@ -90,7 +90,6 @@ def command(
 
 
 def _print(made: SimulatedDrive) -> None:
-    """Print the numbers and the files as two columns."""
     end, course = made.odometry_end_error, made.recording.course
     rows = [
         ["course", f"{course.name}, seed {course.seed}"],

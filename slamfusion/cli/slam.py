@@ -114,7 +114,6 @@ def _run(
     stop_after: int | None = None,
     **asked: Any,
 ) -> int:
-    """Run, measure, write, print."""
     from slamfusion.jobs.map_log import map_log, save_mapped_log  # noqa: PLC0415
 
     options.check_odometry(asked["odometry"], asked["relations"])
@@ -194,7 +193,6 @@ def _run_seeds(
 
 
 def _print(result: ProducerResult, log: Path) -> None:
-    """Print the numbers, the remarks and the errors."""
     from slamfusion.jobs.map_log import run_remarks  # noqa: PLC0415
 
     run = result.run

@@ -64,7 +64,6 @@ def print_fusion(
 
 
 def _alignments(result: Fusion) -> list[Alignment]:
-    """Return how each input that was fused lies to the reference."""
     found = [record.alignment for record in result.accepted]
     return [pair for pair in found if pair is not None]
 
@@ -77,7 +76,6 @@ def _start_words(pair: Alignment) -> str:
 
 
 def _transform_words(pair: Alignment) -> str:
-    """Return the command that publishes a map's frame in that of the reference."""
     motion = pair.transform
     return shlex.join(
         [
@@ -113,7 +111,6 @@ def _accepted(found: Alignment) -> str:
 
 
 def _row(record: InputRecord, reference: str) -> list[str]:
-    """Return an input's row of the alignment table."""
     accepted = "yes" if record.accepted else "NO"
     if record.accepted and record.alignment is not None:
         accepted = _accepted(record.alignment)
@@ -127,7 +124,6 @@ def _row(record: InputRecord, reference: str) -> list[str]:
 
 
 def _cells(found: Alignment, accepted: str) -> list[str]:
-    """Return an alignment's cells of the table, from the input's name on."""
     return [
         found.moving,
         accepted,
@@ -182,7 +178,6 @@ def _print_figures(
     figures: Sequence[Sequence[tuple[Figure, float | None]]],
     title: str,
 ) -> None:
-    """Print a row of figures for each map."""
     columns = (*heads, *(figure.label for figure, _ in figures[0]))
     rows = [
         [*name, *(number(value, figure.digits) for figure, value in own)]

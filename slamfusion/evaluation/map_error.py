@@ -267,7 +267,6 @@ def _f16_error(confusion: npt.NDArray[np.int64]) -> float:
 
 
 def _intersection_over_union(confusion: npt.NDArray[np.int64], index: int) -> float | None:
-    """Return the Jaccard index of one class, or None when neither map has it."""
     both = int(confusion[index, index])
     either = int(confusion[index].sum() + confusion[:, index].sum()) - both
     return both / either if either else None

@@ -159,7 +159,6 @@ def place_files(cases: Sequence[str], files: Sequence[CaseFile]) -> list[Placed]
 
 
 def _case_of(cases: Sequence[str], file: CaseFile) -> str:
-    """Return the case of a file."""
     known = ", ".join(cases)
     if file.case:
         if file.case not in cases:

@@ -152,7 +152,6 @@ def compare_results(files: Sequence[str | Path]) -> ComparedResults:
 
 
 def _compared(files: Sequence[SavedResults]) -> list[SavedResults]:
-    """Return what is compared: files, or the methods of a file."""
     found = []
     for file in files:
         methods = file.table["method"]

@@ -317,7 +317,6 @@ def group_stores(store: Path, count: int) -> tuple[Path, ...]:
 
 
 def _write_files(store: Path, stem: Path) -> None:
-    """Write the maps of a store as files of a map server."""
     with AtomicFiles():
         save_map(read_stored_map(store, FUSED), stem)
         agreement = read_stored_map(store, AGREEMENT_ARRAY)

@@ -146,7 +146,6 @@ def describe(
 
 
 def _log_info(path: Path, config: RunConfig, progress: Progress) -> InfoDocument:
-    """Read all scans of a log."""
     remarks: list[str] = []
     topics, frames = list[str](), list[str]()
     if path.is_dir() or path.suffix.lower() in BAG_SUFFIXES:
@@ -205,7 +204,6 @@ def _log_info(path: Path, config: RunConfig, progress: Progress) -> InfoDocument
 
 
 def _map_info(path: Path, config: RunConfig) -> InfoDocument:
-    """Load a map."""
     remarks: list[str] = []
     (grid,) = load_maps([path], config, warn=remarks.append)
     walls_m2 = float((grid.cells == OCCUPIED).sum() * grid.resolution**2)
@@ -225,7 +223,6 @@ def _map_info(path: Path, config: RunConfig) -> InfoDocument:
 
 
 def _run_info(folder: Path) -> InfoDocument:
-    """Read the record of a run."""
     path = folder / RUN_RECORD
     try:
         record: Mapping[str, Any] = json.loads(path.read_text(encoding="utf-8"))

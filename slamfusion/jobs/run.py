@@ -315,7 +315,6 @@ class _Stages:
 def _producers(
     outcomes: Sequence[Outcome], measures: Mapping[str, Measures], evaluations: Sequence[Evaluation]
 ) -> tuple[RunProducer | FailedProducer, ...]:
-    """Return the record of each producer."""
     errors = {item.name: item for item in evaluations}
     return tuple(
         FailedProducer.of(item)

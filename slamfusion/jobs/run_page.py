@@ -126,7 +126,6 @@ def _banner(run: LogRun) -> Banner:
 
 
 def _facts(run: LogRun, measured: Sequence[MeasuredPath]) -> list[Fact]:
-    """Return the numbers of the headline, the first four as cards."""
     facts = []
     for item in list(run.results.values())[:1]:
         path = item.run.trajectory
