@@ -19,7 +19,7 @@ from slamfusion.align.decide import (
     decide,
     odds,
 )
-from slamfusion.align.features import FINE_TABLE, spread_sample
+from slamfusion.align.features import spread_sample
 from slamfusion.align.hypotheses import (
     APART_RAD,
     DISTINCT_CELLS,
@@ -30,13 +30,12 @@ from slamfusion.align.hypotheses import (
     mirror_gain,
     weigh,
 )
-from slamfusion.align.pair import Pair, invert, to_lattice
+from slamfusion.align.pair import Pair
 from slamfusion.align.records import Alignment, RunnerUp
 from slamfusion.align.refine import climbed, narrow_fits, refine
 from slamfusion.align.scores import rank
 from slamfusion.align.search import CoarseSearch, SearchResult, meeting_cells, prior_within, search
 from slamfusion.align.shifts import SearchWindow
-from slamfusion.compute.lattice import fixed_poses
 from slamfusion.compute.search import CountedSide
 from slamfusion.config import AlignConfig
 from slamfusion.geometry import F64, Pose2, wrap_angle
@@ -69,7 +68,7 @@ def conclude(
     overlap, error = statistics["overlap"], statistics.pop("error")
     transform = pair.transform_of(best)
     shown = np.concatenate((best[None], answer.others[:1]))
-    scores = [float(score) for score in rank(pair, shown, 1, FINE_TABLE)]
+    scores = [float(score) for score in rank(pair, shown)]
     runner_up = None
     if len(shown) > 1:
         ratio = max(0.0, scores[1] / scores[0]) if scores[0] > 0 else 1.0
@@ -234,7 +233,6 @@ def measure(pair: Pair, motion: F64) -> dict[str, float]:
     share of the map with fewer wall cells; ``explained_by_chance``: the share of it that a
     random place on the other map's known cells would explain.
     """
-    lattice = to_lattice(motion[None], pair.moving.centre)
     size = pair.resolution
     near2 = int(max(NEAR_M / size, NEAR_CELLS_MIN) ** 2 + 1e-9)
     clashes2 = [
@@ -243,10 +241,10 @@ def measure(pair: Pair, motion: F64) -> dict[str, float]:
     ]
     sides = [
         CountedSide(
-            spread_sample(own.wall_points, MEASURED_POINTS), poses, other.known,
+            spread_sample(own.wall_points, MEASURED_POINTS), ways, other.known,
             other.level(1).distance2, other.level(1).free,
         )
-        for own, poses, other in pair.sides(lattice)
+        for own, ways, other in pair.sides(motion[None])
     ]  # fmt: skip
     counts = pair.device.pose_counts(*sides, limits2=(near2, *clashes2))
     known, _, match, _, _, _, *clash = (
@@ -255,7 +253,7 @@ def measure(pair: Pair, motion: F64) -> dict[str, float]:
     )
     chance = [other.near_wall_share(near2) for other in pair]
     smaller = 0 if len(pair.moving.wall_points) <= len(pair.reference.wall_points) else 1
-    overlap, error = _overlap_and_error(pair, lattice)
+    overlap, error = _overlap_and_error(pair, motion)
     return {
         "wall_match": float(min(match)),
         "wall_match_moving": float(match[0]),
@@ -271,11 +269,11 @@ def measure(pair: Pair, motion: F64) -> dict[str, float]:
     }
 
 
-def _overlap_and_error(pair: Pair, lattice: F64) -> tuple[float, float]:
+def _overlap_and_error(pair: Pair, motion: F64) -> tuple[float, float]:
     """Return the share of common known cells, and the [F16] error over the reference's box."""
-    warped = pair.device.warp(
-        pair.moving.cells, fixed_poses(invert(lattice)), pair.reference.shape, -1
-    )
+    _, (_, back, _) = pair.sides(motion[None])
+    poses = back.T.astype(np.int64)
+    warped = pair.device.warp(pair.moving.cells, poses, pair.reference.shape, -1)
     counts = pair.device.confusion(pair.reference.cells, warped)
     both = float(counts[1:, 1:].sum())
     smaller = max(1, min(pair.reference.known_cells, pair.moving.known_cells))

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache, wraps
+from threading import RLock
 from typing import Any, Concatenate, ParamSpec, TypeVar
 
 import cv2
@@ -67,6 +68,8 @@ FIELD_BYTES, FREE_SHARE = 40, 0.5
 SPARING_BYTES = 2**28
 
 
+# Held while features are made, since two threads may align one map with others.
+MAKING = RLock()
 # Directions of walls, degrees; a wall has none beyond 180. Histogram of one degree.
 DIRECTIONS = 180
 # Cells on the longest side of the picture whose gradients are the directions, its blur, and the
@@ -135,10 +138,11 @@ def _kept(
     @wraps(make)
     def get(features: GridFeatures, /, *given: P.args, **named: P.kwargs) -> R:
         key = (make.__name__, *given, *named.values())
-        made = features._made  # noqa: SLF001 - of the class below
-        if key not in made:
-            made[key] = make(features, *given, **named)
-        found: R = made[key]
+        with MAKING:
+            made = features._made  # noqa: SLF001 - of the class below
+            if key not in made:
+                made[key] = make(features, *given, **named)
+            found: R = made[key]
         return found
 
     return get
@@ -153,8 +157,6 @@ class GridFeatures:
         """Prepare a map; fields are computed at first use; ``memory`` may release them."""
         self.given, self.grid = grid, _without_rims(grid)
         self.device, self._memory = device, memory
-        self._levels: dict[int, Level] = {}
-        self._fields: dict[tuple[int, str], DeviceArray[Any]] = {}
         self._made: dict[tuple[Any, ...], Any] = {}
 
     @property
@@ -164,8 +166,6 @@ class GridFeatures:
 
     def release(self) -> None:
         """Release what takes memory; it is computed again at next use."""
-        self._levels.clear()
-        self._fields.clear()
         self._made = {key: made for key, made in self._made.items() if key[0] in SMALL}
         for name in ("cells", "known"):
             self.__dict__.pop(name, None)
@@ -220,16 +220,19 @@ class GridFeatures:
 
     def level(self, step: int) -> Level:
         """Return the grid at ``step`` fine cells a cell."""
-        if self._memory is not None:
-            self._memory.use(self, is_more=step not in self._levels)
-        if step not in self._levels:
-            wall = self._surface()
-            if step == 1:
-                free = self.device.upload((self.grid.cells == 0).astype(np.uint8) * np.uint8(255))
-            else:
-                wall, free = self.device.shrink(wall, self.cells, step)
-            self._levels[step] = self._level_of(step, wall, free, DISTANCE_MAX)
-        return self._levels[step]
+        with MAKING:
+            if self._memory is not None:
+                self._memory.use(self, is_more=("_level", step) not in self._made)
+            return self._level(step)
+
+    @_kept
+    def _level(self, step: int) -> Level:
+        wall = self._surface()
+        if step == 1:
+            free = self.device.upload((self.grid.cells == 0).astype(np.uint8) * np.uint8(255))
+        else:
+            wall, free = self.device.shrink(wall, self.cells, step)
+        return self._level_of(step, wall, free, DISTANCE_MAX)
 
     @_kept
     def solid_level(self) -> Level:
@@ -312,15 +315,13 @@ class GridFeatures:
         """Return the evidence of a wall of the other map in each cell of a level."""
         return evidence_table(self.chance(step, sigma), sigma, top, doubt)
 
+    @_kept
     def field(self, step: int, table: ScoreTable) -> DeviceArray[Any]:
         """Return the score field of a level, uint8 on the device."""
-        key = (step, table.name)
-        if key not in self._fields:
-            level = self.level(step)
-            self._fields[key] = self.device.score_field(
-                level.distance2, level.free, table.hit, table.miss, table.base
-            )
-        return self._fields[key]
+        level = self.level(step)
+        return self.device.score_field(
+            level.distance2, level.free, table.hit, table.miss, table.base
+        )
 
 
 def _known_by_distance(

@@ -32,7 +32,7 @@ from slamfusion.align.decide import (
 )
 from slamfusion.align.features import GridFeatures, spread_sample
 from slamfusion.align.likelihood import likeness
-from slamfusion.align.pair import Pair, displacement, to_lattice
+from slamfusion.align.pair import Pair, displacement
 from slamfusion.align.refine import common_walls, narrow_fits
 from slamfusion.align.scores import (
     GOOD_DOUBT,
@@ -323,8 +323,7 @@ def hit_share(pair: Pair, motion: F64) -> float:
     The other walls lie anywhere on the other map's known ground. 0 if one of two narrower widths is
     more likely.
     """
-    sides = pair.sides(to_lattice(motion[None], pair.moving.centre))
-    met = [(other, _distances2(own, poses[0], other)) for own, poses, other in sides]
+    met = [(side[2], _distances2(*side)) for side in pair.sides(motion[None])]
     best = []
     for widths in (0.5, 1.0, READINGS["bent"].widths):
         sigma = widths * pair.widths[0]
@@ -336,12 +335,10 @@ def hit_share(pair: Pair, motion: F64) -> float:
     return best[-1][1] if max(best)[0] == best[-1][0] else 0.0
 
 
-def _distances2(
-    own: GridFeatures, pose: npt.NDArray[np.int64], other: GridFeatures
-) -> npt.NDArray[np.int64]:
+def _distances2(own: GridFeatures, motion: F64, other: GridFeatures) -> npt.NDArray[np.int64]:
     """Return (N,) walls on ground that the other map knows, by squared distance to its walls."""
     x, y = spread_sample(own.level(1).points, SCORED_POINTS).astype(np.int64).T
-    rows, cols = fixed_cells(pose, x, y)
+    rows, cols = fixed_cells(motion[:, 0].astype(np.int64), x, y)
     height, width = other.shape
     inside = (rows >= 0) & (cols >= 0) & (rows < height) & (cols < width)
     at = rows[inside], cols[inside]

@@ -50,7 +50,6 @@ class ScoreTable:
     miss: npt.NDArray[np.uint16]
     base: int
     span: int
-    name: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +72,7 @@ def score_table(sigma: float, base: int, span: int) -> ScoreTable:
     d = _distances(sigma)
     hit = np.rint(span * likeness(sigma)).astype(np.uint16)
     miss = np.rint(base * np.where(d > 1.5, np.minimum(1.0, d / 4.0), 0.0)).astype(np.uint16)
-    return ScoreTable(hit, miss, base, span, f"{sigma:g}/{base}/{span}")
+    return ScoreTable(hit, miss, base, span)
 
 
 @lru_cache(maxsize=TABLES_KEPT)
@@ -95,9 +94,8 @@ def evidence_table(chance: float, sigma: float, top: int, doubt: float = 0.0) ->
     base = round(-least / unit)
     value = np.clip(np.rint(evidence / unit), -base, top - base).astype(np.int64)
     hit, miss = (np.maximum(part, 0).astype(np.uint16) for part in (value, -value))
-    name = f"evidence/{sigma:g}/{expected:.6f}/{top}/{doubt:g}"
     hit.flags.writeable = miss.flags.writeable = False
-    return EvidenceTable(hit, miss, base, top - base, name, unit)
+    return EvidenceTable(hit, miss, base, top - base, unit)
 
 
 @cache

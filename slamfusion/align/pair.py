@@ -16,43 +16,12 @@ import numpy.typing as npt
 from slamfusion.align.features import GridFeatures
 from slamfusion.align.normalize import NormalizedGrid
 from slamfusion.compute import ComputeDevice
-from slamfusion.compute.arrays import I64
-from slamfusion.compute.lattice import fixed_poses
 from slamfusion.compute.layout import FIXED_ONE
 from slamfusion.geometry import F64, Pose2, wrap_angle
 
 Columns = tuple[F64, F64, F64, F64]
-
-
-def to_lattice(motions: F64, centre: tuple[float, float]) -> F64:
-    """Return motions given by where the centre lands as (x, y, yaw) that map lattice origins."""
-    cos, sin = np.cos(motions[:, 2]), np.sin(motions[:, 2])
-    x = motions[:, 0] - cos * centre[0] + sin * centre[1]
-    y = motions[:, 1] - sin * centre[0] - cos * centre[1]
-    return np.stack((x, y, motions[:, 2]), axis=1)
-
-
-def invert(motions: F64) -> F64:
-    """Return the inverse of lattice motions (N, 3)."""
-    cos, sin = np.cos(motions[:, 2]), np.sin(motions[:, 2])
-    x = -cos * motions[:, 0] - sin * motions[:, 1]
-    y = sin * motions[:, 0] - cos * motions[:, 1]
-    return np.stack((x, y, -motions[:, 2]), axis=1)
-
-
-def fixed_motions(
-    motions: F64, centre: tuple[float, float], scales: F64 | None = None
-) -> tuple[F64, F64]:
-    """Return (4, P) from the moving lattice to the reference's, and back, as ``fixed_poses``.
-
-    ``motions`` (P, 3) are landing points of the moving ``centre``, cells, and yaw; ``scales`` (P,)
-    enlarge the moving map about its centre, None: 1. The whole numbers are in float64, by columns.
-    """
-    there, back = (
-        np.rint(np.stack((cos, sin, 2.0 * x, 2.0 * y)) * float(FIXED_ONE))
-        for cos, sin, x, y in both_ways(motions, centre, scales)
-    )
-    return there, back
+# Motions that are compared with each other at once.
+TOGETHER = 48
 
 
 def both_ways(
@@ -102,13 +71,23 @@ def distinct_rows(
     kept: list[int] = []
     left = np.arange(len(motions))
     while len(left) and (most is None or len(kept) < most):
-        best = motions[left[0]]
-        kept.append(int(left[0]))
-        left = left[1:]
-        away = np.hypot(motions[left, 0] - best[0], motions[left, 1] - best[1]) >= shift
-        turned = np.mod(motions[left, 2] - best[2] + math.pi, 2.0 * math.pi) - math.pi
-        left = left[away | (np.abs(turned) >= turn)]
+        # A few at once: the best of these, then what is left of the others.
+        some, left = left[:TOGETHER], left[TOGETHER:]
+        is_far = _are_apart(motions[some], motions[some], shift, turn)
+        chosen: list[int] = []
+        for k in range(len(some)):
+            if is_far[k, chosen].all() and (most is None or len(kept) + len(chosen) < most):
+                chosen.append(k)
+        kept += some[chosen].tolist()
+        left = left[_are_apart(motions[left], motions[some[chosen]], shift, turn).all(axis=1)]
     return np.array(kept, dtype=np.intp)
+
+
+def _are_apart(a: F64, b: F64, shift: float, turn: float) -> npt.NDArray[np.bool_]:
+    """Return (A, B) whether motions are farther from each other than shift or turn."""
+    x, y, yaw = (a[:, None, k] - b[None, :, k] for k in range(3))
+    turned = np.mod(yaw + math.pi, 2.0 * math.pi) - math.pi
+    return np.asarray((np.hypot(x, y) >= shift) | (np.abs(turned) >= turn))
 
 
 # Widths of a wall at full resolution, metres, and the minimum in cells: the narrow one for maps
@@ -159,10 +138,26 @@ class Pair:
         )
         return Pair(self.reference, GridFeatures(image, self.device))
 
-    def sides(self, lattice: F64) -> Iterator[tuple[GridFeatures, I64, GridFeatures]]:
-        """Yield each map, fixed poses (P, 4) of lattice motions (P, 3), and the other map."""
-        yield self.moving, fixed_poses(lattice), self.reference
-        yield self.reference, fixed_poses(invert(lattice)), self.moving
+    def sides(
+        self, motions: F64, step: int = 1, scales: F64 | None = None
+    ) -> Iterator[tuple[GridFeatures, F64, GridFeatures]]:
+        """Yield each map, motions that bring its walls onto the other map, and that map.
+
+        Args:
+            motions: (P, 3), fine cells.
+            step: of the level whose cells are moved, fine cells a cell.
+            scales: (P,) enlarge the moving map about its centre; None: 1.
+
+        Yields:
+            The motions as (4, P) columns of ``fixed_poses``, whole numbers in float64.
+        """
+        centre = (self.moving.centre[0] / step, self.moving.centre[1] / step)
+        there, back = (
+            np.rint(np.array((cos, sin, 2.0 * x, 2.0 * y)) * float(FIXED_ONE))
+            for cos, sin, x, y in both_ways(motions / np.array([step, step, 1.0]), centre, scales)
+        )
+        yield self.moving, there, self.reference
+        yield self.reference, back, self.moving
 
     def motion_of(self, transform: Pose2) -> F64:
         """Return a transform of map frames, metres, as a motion (3,), see ``pair``."""
@@ -175,8 +170,7 @@ class Pair:
     def transform_of(self, motion: F64) -> Pose2:
         """Return a motion (3,) as the transform of map frames, metres."""
         ref, mov = self.reference.grid.grid, self.moving.grid.grid
-        x, y, yaw = to_lattice(motion[None], self.moving.centre)[0]
-        lattice = Pose2(
-            float(x) * ref.resolution, float(y) * ref.resolution, wrap_angle(float(yaw))
-        )
+        (_, _, (x,), (y,)), _ = both_ways(motion[None], self.moving.centre)
+        yaw_rad = wrap_angle(float(motion[2]))
+        lattice = Pose2(float(x) * ref.resolution, float(y) * ref.resolution, yaw_rad)
         return ref.origin.compose(lattice).compose(mov.origin.inverse())

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from slamfusion.align.features import spread_sample
-from slamfusion.align.pair import Pair, both_ways, to_lattice, turned_about
+from slamfusion.align.pair import Pair, both_ways, turned_about
 from slamfusion.align.scores import GOOD_DOUBT, score_motions
 from slamfusion.compute.search import CountedSide, FitSide
 from slamfusion.geometry import F64
@@ -81,7 +81,7 @@ def refine(
         moves = np.arange(len(local))
         for _ in range(iterations):
             there, back = both_ways(local[moves], centre_mov)
-            given = np.stack((*there, *back, widths[moves])).astype(np.float32)
+            given = np.array((*there, *back, widths[moves]), dtype=np.float32)
             terms = pair.device.refine_terms(*sides, given, pivot)
             change = _solve(terms, widths[moves], reach)
             local[moves] = _apply(local[moves], change, pivot)
@@ -148,10 +148,10 @@ def _surface_distance(pair: Pair, motions: F64) -> F64:
     """Return (P,) the median distance in cells, rounded up, of surfaces with one within 8 cells."""
     sides = [
         CountedSide(
-            spread_sample(own.level(1).points, SPREAD_POINTS), poses, other.level(1).free,
+            spread_sample(own.level(1).points, SPREAD_POINTS), ways, other.level(1).free,
             other.level(1).distance2, other.level(1).free,
         )
-        for own, poses, other in pair.sides(to_lattice(motions, pair.moving.centre))
+        for own, ways, other in pair.sides(motions)
     ]  # fmt: skip
     counts = pair.device.pose_counts(*sides, limits2=[r * r for r in (*SURFACE_RADII, 8)])
     near = (counts[0] + counts[1])[:, 2 : 3 + len(SURFACE_RADII)].T

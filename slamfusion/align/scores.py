@@ -8,18 +8,16 @@ piece by piece.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
-from slamfusion.align.features import FIELD_TOP, GridFeatures, spread_sample
-from slamfusion.align.likelihood import ScoreTable
-from slamfusion.align.pair import Pair, fixed_motions, to_lattice
+from slamfusion.align.features import FIELD_TOP, FINE_TABLE, GridFeatures, spread_sample
+from slamfusion.align.pair import Pair
 from slamfusion.compute.arrays import I32
-from slamfusion.compute.layout import FACING_PARTS, FIXED_ONE
+from slamfusion.compute.layout import FIXED_ONE
 from slamfusion.compute.search import CountedSide, ScoredSide
 from slamfusion.compute.wall_pieces import PieceSide
 from slamfusion.geometry import F64
@@ -118,14 +116,8 @@ def wall_pieces(
         sided: for good maps: a wall seen from another side is another wall, and unknown ground
             lowers no share. Bent or old maps are too inaccurate for that.
     """
-    ways = fixed_motions(motions, pair.moving.centre, scales)
-    found = _pieces(
-        pair,
-        ((pair.moving, ways[0], pair.reference), (pair.reference, ways[1], pair.moving)),
-        sigma,
-        points,
-        sided=sided,
-    )
+    sides = list(pair.sides(motions, scales=scales))
+    found = _pieces(pair, sides, sigma, points, sided=sided)
     evidence, most, share_most, seen_m = zip(*found, strict=True)
     return WallPieces(
         np.concatenate(evidence, axis=1),
@@ -153,9 +145,7 @@ def _pieces(
     for own, motions, other in sides:
         table, words = other.piece_words(sigma)
         pieces = own.pieces(size / (2.0 * side), most_points)
-        turns = np.rint(np.arctan2(motions[1], motions[0]) * (FACING_PARTS / (2.0 * math.pi)))
-        poses = motions.T.astype(np.int64)
-        looked_up.append(PieceSide(pieces, poses, turns.astype(np.int32), words, table.base))
+        looked_up.append(PieceSide(pieces, motions, words, table.base))
     found = []
     sums = pair.device.piece_sums(*looked_up, sided=sided)
     for (own, _, other), (given, could, met) in zip(sides, sums, strict=True):
@@ -189,8 +179,8 @@ def score_motions(
         points: at most this number of wall points of each grid; each stands for its share.
         scales: (P,) enlarge the moving map about its centre; None: 1.
     """
-    ways = fixed_motions(*_on_level(pair, motions, step), scales)
-    sides, units = _scored_sides(pair, ways, step, sigma, points, doubt)
+    ways = pair.sides(motions, step, scales)
+    sides, units = _scored_sides(ways, step, sigma, points, doubt)
     return _summed(pair.device.pose_scores(*sides), sides, units)
 
 
@@ -203,15 +193,15 @@ def score_neighbours(
         shift, turn: to the next neighbour, fine cells and rad.
     """
     turned = (motions + np.array([0.0, 0.0, turn]) * np.array(STEPS)[:, None, None]).reshape(-1, 3)
-    there, back = fixed_motions(*_on_level(pair, turned, step))
+    (mov, there, _), (ref, back, _) = pair.sides(turned, step)
     # A step along x of the reference, half cells, on either map.
-    own, along = 2.0 * shift / step * FIXED_ONE, np.zeros((2, len(turned)))
-    along[0] = np.rint(own)
+    own, along = 2.0 * shift / step, np.zeros((2, len(turned)))
+    along[0] = np.rint(own * FIXED_ONE)
     ways = (
-        np.concatenate((there, along)),
-        np.concatenate((back, np.rint(back[:2] * (-own / FIXED_ONE)))),
+        (mov, np.concatenate((there, along)), ref),
+        (ref, np.concatenate((back, np.rint(-own * back[:2]))), mov),
     )
-    sides, units = _scored_sides(pair, ways, step, sigma, points)
+    sides, units = _scored_sides(ways, step, sigma, points)
     found = _summed(pair.device.neighbour_scores(*sides), sides, units)
     return found.reshape(len(STEPS), len(motions), -1).transpose(1, 2, 0).reshape(len(motions), -1)
 
@@ -222,18 +212,16 @@ def neighbour_offsets(shift: float, turn: float) -> F64:
     return np.asarray(steps.reshape(-1, 3) * np.array([shift, shift, turn]))
 
 
-def _on_level(pair: Pair, motions: F64, step: int) -> tuple[F64, tuple[float, float]]:
-    """Return motions and the moving centre in cells of a level."""
-    centre = pair.moving.centre
-    return motions / np.array([step, step, 1.0]), (centre[0] / step, centre[1] / step)
-
-
 def _scored_sides(
-    pair: Pair, ways: tuple[F64, F64], step: int, sigma: float, points: int, doubt: float = 0.0
+    ways: Iterable[tuple[GridFeatures, F64, GridFeatures]],
+    step: int,
+    sigma: float,
+    points: int,
+    doubt: float = 0.0,
 ) -> tuple[list[ScoredSide], list[float]]:
     """Return the walls of each map on the other's field, and the evidence of a value, nats."""
     sides, units = [], []
-    for own, motions, other in zip((pair.moving, pair.reference), ways, pair, strict=True):
+    for own, motions, other in ways:
         table = other.evidence_table(step, sigma, FIELD_TOP, doubt)
         sample = own.wall_planes(step, points)
         sides.append(ScoredSide(sample, motions, other.field(step, table), table.base))
@@ -249,25 +237,22 @@ def _summed(values: list[I32], sides: list[ScoredSide], units: list[float]) -> F
     return total
 
 
-def rank(
-    pair: Pair, motions: F64, step: int, table: ScoreTable, *, points: int = SCORED_POINTS
-) -> F64:
-    """Return the symmetric wall score (P,) of motions at a level; 1 for identical maps."""
+def rank(pair: Pair, motions: F64) -> F64:
+    """Return the symmetric wall score (P,) of motions; 1 for identical maps."""
     sides, weights = [], []
-    for own, poses, other in pair.sides(to_lattice(*_on_level(pair, motions, step))):
-        level, walls = other.level(step), own.level(step).points
-        sample, field = spread_sample(walls, points), other.field(step, table)
-        sides.append(CountedSide(sample, poses, field, level.distance2, level.free, table.base))
+    for own, ways, other in pair.sides(motions):
+        level, walls = other.level(1), own.level(1).points
+        sample, field = spread_sample(walls, SCORED_POINTS), other.field(1, FINE_TABLE)
+        sides.append(CountedSide(sample, ways, field, level.distance2, level.free, FINE_TABLE.base))
         weights.append(len(walls))
     total = np.zeros(len(motions))
     for counts, side, weight in zip(pair.device.pose_counts(*sides), sides, weights, strict=True):
-        total += (counts[:, 0] / len(side.points) - table.base) / table.span * weight
+        total += (counts[:, 0] / len(side.points) - side.base) / FINE_TABLE.span * weight
     return total / float(sum(weights))
 
 
 def walls_found(pair: Pair, motions: F64, sigma: float, scales: F64, points: int) -> F64:
     """Return the evidence (P,) for the reference's walls in the moving map; see ``wall_pieces``."""
-    _, back = fixed_motions(motions, pair.moving.centre, scales)
-    side = (pair.reference, back, pair.moving)
+    _, side = pair.sides(motions, scales=scales)
     ((found, *_),) = _pieces(pair, [side], sigma, points, sided=False)
     return np.asarray(found.sum(axis=1))

@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from slamfusion.align.decide import DecisionKind
-from slamfusion.align.pair import Pair, distinct, distinct_rows, invert, to_lattice
+from slamfusion.align.pair import Pair, distinct, distinct_rows
 from slamfusion.align.refine import refine, settle
 from slamfusion.align.scores import neighbour_offsets, score_motions, score_neighbours
 from slamfusion.align.shifts import (
@@ -29,7 +29,6 @@ from slamfusion.align.shifts import (
     shift_work,
 )
 from slamfusion.align.starts import StartPose, pose_of
-from slamfusion.compute.lattice import fixed_poses
 from slamfusion.config import AlignConfig
 from slamfusion.errors import ConfigError
 from slamfusion.geometry import F64, Pose2
@@ -315,12 +314,10 @@ def _least_error(pair: Pair, motions: F64, stride: int) -> F64:
     """Return the motion of least error; of equals the first."""
     errors = []
     for start in range(0, len(motions), POSES_BATCH):
-        poses = invert(to_lattice(motions[start : start + POSES_BATCH], pair.moving.centre))
-        errors.append(
-            pair.device.squared_error(
-                pair.reference.cells, pair.moving.cells, fixed_poses(poses), stride
-            )
-        )
+        _, (_, back, _) = pair.sides(motions[start : start + POSES_BATCH])
+        poses = back.T.astype(np.int64)
+        cells = pair.reference.cells, pair.moving.cells
+        errors.append(pair.device.squared_error(*cells, poses, stride))
     return np.asarray(motions[int(np.argmin(np.concatenate(errors)))])
 
 

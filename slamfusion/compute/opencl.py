@@ -6,6 +6,7 @@ import logging
 import math
 import platform
 import re
+import threading
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -65,7 +66,7 @@ def _family_source(folder: Path, family: str) -> str:
 
 
 class KernelProgram:
-    """All kernels, built for one device; a kernel object is fetched once and kept."""
+    """All kernels, built for one device."""
 
     def __init__(self, context: Any, device: Any, options: tuple[str, ...] = ()) -> None:
         """Build every kernel, with further compiler options; a failure is a DeviceError."""
@@ -82,18 +83,18 @@ class KernelProgram:
             words = " ".join(str(error).split())[:400]
             message = f"the kernels do not build on {device.name.strip()}: {words}"
             raise DeviceError(message) from error
-        self._kernels = {kernel.function_name: kernel for kernel in program.all_kernels()}
-        self._typed: set[str] = set()
+        self._program, self._kernels = program, threading.local()
 
     def kernel(self, name: str, arguments: Sequence[Any]) -> Any:
-        """Return the kernel object of that name.
+        """Return this thread's kernel object of that name: it holds the arguments of a launch.
 
         The types of the numbers in its first launch are kept: finding each takes 4 us.
         """
-        kernel = self._kernels[name]
-        if name not in self._typed:
+        kernel = vars(self._kernels).get(name)
+        if kernel is None:
+            kernel = cl.Kernel(self._program, name)
             kernel.set_scalar_arg_dtypes([_number_type(item) for item in arguments])
-            self._typed.add(name)
+            setattr(self._kernels, name, kernel)
         return kernel
 
 

@@ -52,7 +52,7 @@ class CountedSide(NamedTuple):
 
     Attributes:
         points: (N, 2) int32 lattice positions, x and y in half cells.
-        poses: (P, 4) int64 fixed poses, points to field.
+        motions: (4, P) as of ``ScoredSide``.
         field: (H, W) uint8 on the device.
         distance2: (H, W) uint16 on the device, squared cells to the nearest wall.
         free: (H, W) uint8 on the device, not 0 where free.
@@ -60,7 +60,7 @@ class CountedSide(NamedTuple):
     """
 
     points: I32
-    poses: I64
+    motions: F64
     field: DeviceArray[np.uint8]
     distance2: DeviceArray[np.uint16]
     free: DeviceArray[np.uint8]
@@ -133,9 +133,9 @@ def _pose_counts(side: CountedSide, limits2: Sequence[int]) -> I64:
     field, distance2, free = host(side.field), host(side.distance2), host(side.free)
     height, width = field.shape
     limits = np.array(limits2, dtype=np.int64)[:, None]
-    out = np.zeros((len(side.poses), 2 + 2 * len(limits2)), dtype=np.int64)
+    out = np.zeros((side.motions.shape[1], 2 + 2 * len(limits2)), dtype=np.int64)
     x2, y2 = side.points.T.astype(np.int64)
-    for p, pose in enumerate(side.poses):
+    for p, pose in enumerate(side.motions.T.astype(np.int64)):
         row, col = fixed_cells(pose, x2, y2)
         inside = (row >= 0) & (col >= 0) & (row < height) & (col < width)
         at = row[inside], col[inside]
@@ -375,7 +375,7 @@ class SearchDevice(ArrayDevice):
         return values, places
 
     def pose_counts(self, *sides: CountedSide, limits2: Sequence[int] = ()) -> list[I64]:
-        """Return what the points of each side meet under each of its poses.
+        """Return what the points of each side meet under each of its motions.
 
         ``limits2`` are up to ``LIMITS_MAX`` squared distances in cells.
 
@@ -386,7 +386,8 @@ class SearchDevice(ArrayDevice):
         if not self.opencl:
             return [_pose_counts(side, limits2) for side in sides]
         started, given = [], self.upload(np.array([*limits2, 0], dtype=np.int32))
-        for points, poses, field, distance2, free, base in sides:
+        for points, motions, field, distance2, free, base in sides:
+            poses = motions.T.astype(np.int64)
             n, chunks = len(poses), -(-len(points) // CHUNK_POINTS)
             partial = self.opencl.empty((n, chunks, 2 + 2 * len(limits2)), np.int32)
             self.opencl.launch(

@@ -5,12 +5,13 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.compute.arrays import I32, I64, U8, ArrayDevice, DeviceArray, host
+from slamfusion.compute.arrays import F64, I32, I64, U8, ArrayDevice, DeviceArray, host
 from slamfusion.compute.lattice import fixed_cells
 from slamfusion.compute.layout import FACING_PARTS, OPPOSED_PARTS, RUN
 
@@ -44,17 +45,20 @@ class PieceSide(NamedTuple):
 
     Attributes:
         pieces: of the one.
-        poses: (P, 4) int64 fixed poses, points to cells.
-        turns: (P,) int32 how far they turn, in parts of a turn.
+        motions: (4, P) as of ``search.ScoredSide``, points to cells.
         words: (H, W) uint32 of the other, see ``piece_words``.
         base: worth of a cell that says nothing.
     """
 
     pieces: PointPieces
-    poses: I64
-    turns: I32
+    motions: F64
     words: DeviceArray[np.uint32]
     base: int
+
+    def poses(self) -> tuple[I64, I32]:
+        """Return (P, 4) int64 fixed poses, and (P,) how far they turn, in parts of a turn."""
+        turns = np.arctan2(self.motions[1], self.motions[0]) * (FACING_PARTS / (2.0 * math.pi))
+        return self.motions.T.astype(np.int64), np.rint(turns).astype(np.int32)
 
 
 class WallPieceDevice(ArrayDevice):
@@ -98,7 +102,7 @@ class WallPieceDevice(ArrayDevice):
         return np.asarray(field | seen << np.uint32(8) | could << 16 | facing << 24, np.uint32)
 
     def piece_sums(self, *sides: PieceSide, sided: bool) -> list[I32]:
-        """Return what the points of each piece meet under each pose, of each side.
+        """Return what the points of each piece meet under each motion, of each side.
 
         A wall that the field has, but that was seen from another side, meets nothing if ``sided``;
         nor does a point off the field.
@@ -108,9 +112,11 @@ class WallPieceDevice(ArrayDevice):
             cells.
         """
         if not self.opencl:
-            return [_piece_sums(*side, sided=sided) for side in sides]
+            return [_piece_sums(side, sided=sided) for side in sides]
         started = []
-        for (points, starts, facing), poses, turns, words, base in sides:
+        for side in sides:
+            (points, starts, facing), _, words, base = side
+            poses, turns = side.poses()
             pieces, n = starts.shape[0] - 1, len(poses)
             sums = self.opencl.empty((3, n, pieces), np.int32)
             self.opencl.launch(
@@ -121,18 +127,10 @@ class WallPieceDevice(ArrayDevice):
         return [self.download(sums) for sums in started]
 
 
-def _piece_sums(
-    pieces: PointPieces,
-    poses: I64,
-    turns: I32,
-    words: DeviceArray[np.uint32],
-    base: int,
-    *,
-    sided: bool,
-) -> I32:
+def _piece_sums(side: PieceSide, *, sided: bool) -> I32:
     """Return what one side gives; see ``WallPieceDevice.piece_sums``."""
-    points, starts, sides = (host(part) for part in pieces)
-    words = host(words).astype(np.int64)
+    points, starts, sides = (host(part) for part in side.pieces)
+    words, (poses, turns) = host(side.words).astype(np.int64), side.poses()
     height, width = words.shape
     count = len(starts) - 1
     piece = np.repeat(np.arange(count), np.diff(starts))
@@ -142,7 +140,7 @@ def _piece_sums(
         row, col = fixed_cells(pose, x2, y2)
         inside = (row >= 0) & (col >= 0) & (row < height) & (col < width)
         word, mine = words[row[inside], col[inside]], piece[inside]
-        value = (word & 255) - base
+        value = (word & 255) - side.base
         facing = (word >> 24).astype(np.uint8)
         tells = ~((value > 0) & sided & is_another(sides[inside], facing, int(turn)))
         # Whole numbers below 2^53 are exact in the float64 that bincount adds.

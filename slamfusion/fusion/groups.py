@@ -12,7 +12,6 @@ from statistics import median
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.align.align import align_pair
 from slamfusion.align.answer import rejected_alignment
 from slamfusion.align.features import GridFeatures
 from slamfusion.align.pair import Pair
@@ -112,9 +111,12 @@ def align_group(
     search = GroupSearch(
         features, aligner.candidates(), aligner.align, aligner.count, aligner.ahead
     )
-    if aligner.is_thorough:
-        search.align_all()
-    found, pairs = search.run()
+    try:
+        if aligner.is_thorough:
+            search.align_all()
+        found, pairs = search.run()
+    finally:
+        aligner.tasks.close()
     aligner.tell("vote", aligner.done)
     least = 1 if len(names) == 1 else LEAST_FUSED
     found = [group for group in found if len(group.members) >= least]
@@ -153,12 +155,9 @@ class _Aligner:
         self.count = count = math.comb(len(features), 2)
         self.progress, self.second_look, self.starts = progress, second_look, starts
         self.is_thorough, self.last = count <= THOROUGH_PAIRS, next(reversed(features), "")
-        self.config = config.align
         self.done, self.steps = 0, count if self.is_thorough else len(features) - 1
-        self.tasks: AlignmentTasks | None = None
-        if executor is not None:
-            settings = PairSettings(self.config, count, self.is_thorough)
-            self.tasks = AlignmentTasks(executor, settings, device)
+        settings = PairSettings(config.align, count, self.is_thorough)
+        self.tasks = AlignmentTasks(executor, settings, device)
 
     def tell(self, what: str, done: int) -> None:
         """Report the stage and the number of alignments done."""
@@ -169,10 +168,7 @@ class _Aligner:
         """Align two inputs by name, and apply what else is known of them."""
         pair, start = self._pair(a, b)
         self.tell("aligning pairs", self.done)
-        if self.tasks is not None:
-            found = self.tasks.result(pair, start)
-        else:
-            found = align_pair(pair, self.config, start, self.count, thorough=self.is_thorough)
+        found = self.tasks.result(pair, start)
         self.done += 1
         self.tell("aligning pairs", self.done)
         large = self.features[a]
@@ -183,9 +179,8 @@ class _Aligner:
 
     def ahead(self, coming: Iterable[tuple[str, str]]) -> None:
         """Start the first of the pairs that are likely to be requested next."""
-        if self.tasks is not None:
-            for a, b in itertools.islice(coming, self.tasks.ahead):
-                self.tasks.begin(*self._pair(a, b))
+        for a, b in itertools.islice(coming, self.tasks.ahead):
+            self.tasks.begin(*self._pair(a, b))
 
     def _pair(self, a: str, b: str) -> tuple[Pair, StartPose | None]:
         """Return two inputs, the smaller one as the reference, and the start of the other."""

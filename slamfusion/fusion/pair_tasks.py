@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import pickle
 import zlib
-from concurrent.futures import Executor, Future
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -24,6 +24,8 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.config import AlignConfig
 from slamfusion.fleet import tasks_ahead
 
+# Half of an alignment is the host's, so a second thread keeps the device busy.
+THREADS = 2
 # Largest grid whose fields a worker keeps, cells; each takes some 24 bytes.
 KEPT_CELLS = 1 << 20
 # A grid in transit, pickled and compressed to about a tenth, and whether its fields are kept.
@@ -40,18 +42,21 @@ class PairSettings:
 
 
 class AlignmentTasks:
-    """Alignments of pairs of maps by an executor; each pair is aligned once."""
+    """Alignments of pairs of maps by an executor, or by threads; each pair is aligned once."""
 
-    def __init__(self, executor: Executor, settings: PairSettings, device: ComputeDevice) -> None:
-        """Start without tasks."""
-        self._executor, self._common = executor, (settings, device)
+    def __init__(
+        self, executor: Executor | None, settings: PairSettings, device: ComputeDevice
+    ) -> None:
+        """Start without tasks; without an executor two threads align small maps."""
+        self._executor, self._settings, self._device = executor, settings, device
+        self._threads = ThreadPoolExecutor(THREADS)
         self._packed: dict[str, Packed] = {}
         self._tasks: dict[tuple[str, str], Future[Alignment]] = {}
 
     @property
     def ahead(self) -> int:
         """The number of pairs worth starting in advance, now."""
-        return tasks_ahead(self._executor)
+        return THREADS if self._executor is None else tasks_ahead(self._executor)
 
     def begin(self, pair: Pair, start: StartPose | None) -> None:
         """Start a pair if it was not started yet."""
@@ -62,12 +67,21 @@ class AlignmentTasks:
         """Return the alignment of a pair."""
         return self._task(pair, start).result()
 
+    def close(self) -> None:
+        """Cancel what no one waits for."""
+        self._threads.shutdown(cancel_futures=True)
+
     def _task(self, pair: Pair, start: StartPose | None) -> Future[Alignment]:
         """Return the task of a pair; start it if it was not started yet."""
         key = pair.reference.grid.name, pair.moving.grid.name
         if key not in self._tasks:
-            one, other = (self._pack(features.given) for features in pair)
-            self._tasks[key] = self._executor.submit(align_packed, one, other, start, *self._common)
+            if self._executor is None:
+                task = self._threads.submit(_align, pair, start, self._settings)
+            else:
+                one, other = (self._pack(features.given) for features in pair)
+                more = start, self._settings, self._device
+                task = self._executor.submit(align_packed, one, other, *more)
+            self._tasks[key] = task
         return self._tasks[key]
 
     def _pack(self, grid: NormalizedGrid) -> Packed:
@@ -88,10 +102,13 @@ def align_packed(
     device: ComputeDevice,
 ) -> Alignment:
     """Align two packed grids; see ``align_pair``."""
+    return _align(Pair(_features(reference, device), _features(moving, device)), start, settings)
+
+
+def _align(pair: Pair, start: StartPose | None, settings: PairSettings) -> Alignment:
     return align_pair(
-        Pair(_features(reference, device), _features(moving, device)), settings.config, start,
-        pairs=settings.pairs, thorough=settings.thorough,
-    )  # fmt: skip
+        pair, settings.config, start, pairs=settings.pairs, thorough=settings.thorough
+    )
 
 
 def _features(packed: Packed, device: ComputeDevice) -> GridFeatures:

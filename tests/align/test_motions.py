@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from slamfusion.align.pair import displacement, distinct, invert, to_lattice
+from slamfusion.align.pair import both_ways, displacement, distinct
 
 # Farther than a rounding from any multiple of what the motions below are made of.
 SHIFT, TURN = 1.1, 0.07
@@ -28,7 +28,7 @@ def greedy(motions: np.ndarray, most: int | None) -> list[list[float]]:
 @given(
     steps=st.lists(
         st.tuples(st.integers(-5, 5), st.integers(-5, 5), st.integers(-8, 8), st.integers(-1, 1)),
-        max_size=40,
+        max_size=120,
     ),
     most=st.one_of(st.none(), st.integers(1, 6)),
 )
@@ -43,22 +43,25 @@ def test_distinct_equals_the_greedy_definition(
     assert found.tolist() == greedy(motions, most)
 
 
+def moved(way: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Points (2, N), each by its own motion: cos, sin, x, y."""
+    (cos, sin, x, y), (px, py) = way, points
+    return np.array((cos * px - sin * py + x, sin * px + cos * py + y))
+
+
 def test_distinct_keeps_the_better_of_near_ones() -> None:
     motions = np.array([[0.0, 0, 0], [2.0, 0, 0.01], [2.0, 0, 0.5], [9.0, 0, 0], [9.5, 0, 0]])
     assert distinct(motions, 3.0, 0.1).tolist() == motions[[0, 2, 3]].tolist()
     assert distinct(motions, 3.0, 0.1, 2).tolist() == motions[[0, 2]].tolist()
 
 
-def test_to_lattice_and_invert_undo_each_other() -> None:
+def test_the_ways_land_the_centre_and_undo_each_other() -> None:
     motions = np.array([[3.0, -4.0, 1.2], [0.5, 8.0, -3.0]])
     centre = (10.0, 6.0)
-    lattice = to_lattice(motions, centre)
-    for motion, pose in zip(motions, lattice, strict=True):
-        cos, sin = math.cos(pose[2]), math.sin(pose[2])
-        x = cos * centre[0] - sin * centre[1] + pose[0]
-        y = sin * centre[0] + cos * centre[1] + pose[1]
-        assert (x, y) == pytest.approx(motion[:2])
-    assert np.allclose(invert(invert(lattice)), lattice)
+    there, back = (np.array(way) for way in both_ways(motions, centre, np.array([1.0, 1.25])))
+    landed = moved(there, np.array([centre, centre]).T)
+    assert np.allclose(landed, motions[:, :2].T)
+    assert np.allclose(moved(back, landed), np.array([centre, centre]).T)
 
 
 def test_displacement_wraps_the_turn() -> None:

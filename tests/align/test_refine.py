@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from slamfusion.align.features import FINE_TABLE
 from slamfusion.align.pair import Pair, displacement
 from slamfusion.align.refine import polish, refine, settle
 from slamfusion.align.scores import rank
@@ -86,7 +85,7 @@ def test_polishing_comes_home_where_most_walls_are_in_one_map_alone(
 def test_rank_of_a_map_on_itself_is_one_and_falls_with_distance(device: ComputeDevice) -> None:
     grid = features_of(building(3), device)
     away = np.array([[0, 0, 0], [1, 0, 0], [3, 0, 0], [8, 0, 0]], dtype=float)
-    scores = rank(Pair(grid, grid), np.array([*grid.centre, 0.0]) + away, 1, FINE_TABLE)
+    scores = rank(Pair(grid, grid), np.array([*grid.centre, 0.0]) + away)
     assert scores[0] == pytest.approx(1.0)
     assert np.all(np.diff(scores) < 0)
 

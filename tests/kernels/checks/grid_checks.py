@@ -15,7 +15,6 @@ from slamfusion.compute.layout import (
     DISTANCE_MAX,
     DISTANCE_TABLE,
     DISTANCE_UNSEEN,
-    FACING_PARTS,
     FIXED_ONE,
     RUN,
     SHIFT_POINTS,
@@ -138,8 +137,8 @@ def _pose_counts(device: ComputeDevice, sample: Sample) -> Arrays:
         device.upload(sample.distance2),
         device.upload(sample.free),
     )
-    poses = fixed_poses(sample.motions)
-    sides = [CountedSide(sample.points(count), poses, *fields, BASE) for count in (1, 150)]
+    motions = fixed_poses(sample.motions).T.astype(np.float64)
+    sides = [CountedSide(sample.points(count), motions, *fields, BASE) for count in (1, 150)]
     return [
         counts
         for limits2 in ((), (9, 16), (1, 4, 9, 16, 64))
@@ -181,13 +180,12 @@ def _piece_words(device: ComputeDevice, sample: Sample) -> Arrays:
 
 def _piece_sums(device: ComputeDevice, sample: Sample) -> Arrays:
     words = device.upload(sample.rng.integers(0, 2**32, sample.shape).astype(np.uint32))
-    poses = fixed_poses(sample.motions)
+    motions = fixed_poses(sample.motions).T.astype(np.float64)
     # A piece of one point, one of none, a large one.
     starts = np.array([0, 1, 1, 90, 150], dtype=np.int32)
     facing = sample.rng.integers(0, 256, 150).astype(np.uint8)
-    turns = sample.rng.integers(-FACING_PARTS, FACING_PARTS, len(poses)).astype(np.int32)
     pieces = PointPieces(*map(device.upload, (sample.points(150), starts, facing)))
-    side = PieceSide(pieces, poses, turns, words, BASE)
+    side = PieceSide(pieces, motions, words, BASE)
     return [sums for sided in (True, False) for sums in device.piece_sums(side, sided=sided)]
 
 
