@@ -180,21 +180,19 @@ class Mount:
     Attributes:
         pose: in the robot's base frame, in plan; yaw is the direction of the x axis.
         is_flipped: upside down.
-        is_static: it cannot move.
         tilt_rad: between its z axis and the vertical, 0 to pi / 2.
     """
 
     pose: Pose2 = IDENTITY
     is_flipped: bool = False
-    is_static: bool = True
     tilt_rad: float = 0.0
 
     @classmethod
-    def of(cls, matrix: F64, *, is_static: bool) -> Mount:
+    def of(cls, matrix: F64) -> Mount:
         """Return the mount of a (4, 4) pose in the base frame."""
         (ahead_x, _, _, x), (ahead_y, _, _, y), (_, _, upward, _), _ = matrix.tolist()
         tilt_rad = math.acos(min(abs(upward), 1.0))
-        return cls(Pose2(x, y, math.atan2(ahead_y, ahead_x)), upward < 0.0, is_static, tilt_rad)
+        return cls(Pose2(x, y, math.atan2(ahead_y, ahead_x)), upward < 0.0, tilt_rad)
 
 
 def plan_poses(matrices: F64) -> F64:
@@ -356,7 +354,7 @@ class TransformTree:
         way = self._known_way(target, source)
         found = [edge.near(time_s, hold_s) for edge, _ in reversed(way)]
         matrix = _chained(way, found[::-1], 1)[0]
-        mount = Mount.of(matrix, is_static=all(edge.is_static for edge, _ in way))
+        mount = Mount.of(matrix)
         if mount.tilt_rad > TILT_MAX_RAD:
             raise TransformError(
                 f"frame {source!r} is tilted by {math.degrees(mount.tilt_rad):.0f} degrees against "

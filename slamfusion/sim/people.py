@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 
@@ -26,20 +25,6 @@ SWING_M = 0.25
 WALK_M = 3.0
 
 
-class Walks(NamedTuple):
-    """Where people are at each step of a drive; metres, map frame.
-
-    Attributes:
-        places: (N, P, 2) float64, middle of each of P people at each of N steps.
-        discs: (N, D, 2) float64, centres of the discs (two legs, or one body).
-        radii_m: (D,) float64.
-    """
-
-    places: F64
-    discs: F64
-    radii_m: F64
-
-
 def draw_people(space: FreeSpace, count: int, rng: np.random.Generator) -> tuple[PersonConfig, ...]:
     """Draw people who walk between two places each."""
     people = []
@@ -51,14 +36,20 @@ def draw_people(space: FreeSpace, count: int, rng: np.random.Generator) -> tuple
     return tuple(people)
 
 
-def walk(people: Sequence[PersonConfig], space: FreeSpace, robot: F64, step_s: float) -> Walks:
-    """Walk people along their paths; they wait near the robot, (N, 2) metres, one row a step."""
-    places, discs, radii = [], [], []
+def walk(
+    people: Sequence[PersonConfig], space: FreeSpace, robot: F64, step_s: float
+) -> tuple[F64, F64]:
+    """Walk people along their paths; they wait near the robot, (N, 2) metres, one row a step.
+
+    Returns:
+        (N, D, 2) float64 centres of the discs (two legs, or one body) at each of N steps, metres,
+        map frame; and (D,) float64 radii.
+    """
+    discs, radii = [], []
     for number, person in enumerate(people, start=1):
         way = _there_and_back(person, space, f"waypoint of person {number}")
         along = _paced(way, person, robot, step_s)
         centre, heading = _on(way, along)
-        places.append(centre)
         if person.body == "disc":
             discs.append(centre)
             radii.append(BODY_RADIUS_M)
@@ -70,9 +61,8 @@ def walk(people: Sequence[PersonConfig], space: FreeSpace, robot: F64, step_s: f
             discs.append(centre + side * (left * LEG_APART_M / 2.0 + ahead * swing))
             radii.append(LEG_RADIUS_M)
     if not discs:
-        nobody = np.empty((len(robot), 0, 2))
-        return Walks(nobody, nobody, np.empty(0))
-    return Walks(np.stack(places, axis=1), np.stack(discs, axis=1), np.array(radii))
+        return np.empty((len(robot), 0, 2)), np.empty(0)
+    return np.stack(discs, axis=1), np.array(radii)
 
 
 def _there_and_back(person: PersonConfig, space: FreeSpace, what: str) -> F64:

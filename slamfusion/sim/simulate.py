@@ -22,7 +22,7 @@ from slamfusion.io.trajectories import write_tum
 from slamfusion.scan import LaserScan
 from slamfusion.sim.courses import Course, course_to_mapping
 from slamfusion.sim.drive import Motion, StuckError, follow_ways, read_odometry, run_script
-from slamfusion.sim.people import PERSON_RADIUS_M, Walks, draw_people, walk
+from slamfusion.sim.people import PERSON_RADIUS_M, draw_people, walk
 from slamfusion.sim.route import MARGIN_M, FreeSpace
 from slamfusion.sim.world import (
     World,
@@ -55,8 +55,6 @@ class Recording:
         course: with every random choice made: it gives the same recording again.
         scans: in the order of time, with odometry, deskewed by it.
         truth: true pose of the base at each scan; the first is the first odometry.
-        people: (N, P, 2) float64, position of each of P people at each of the N scans, metres; not
-            saved.
         left_out: planned waypoints that this robot could not reach.
     """
 
@@ -64,7 +62,6 @@ class Recording:
     world: World
     scans: tuple[LogScan, ...]
     truth: Trajectory
-    people: F64
     left_out: tuple[Point, ...] = ()
 
     def duration_s(self) -> float:
@@ -120,10 +117,9 @@ def simulate(course: Course, device: ComputeDevice, progress: Progress | None = 
         obstacles=world.obstacles,
     )
     every = round(1.0 / (course.lidar.rate_hz * motion.step_s))  # steps from sweep to sweep
-    robot = motion.poses[::every, :2]
-    walks = walk(people, walkers, robot, period_s)
-    scans, truth = _record(chosen, world, motion, every, walks, device, progress)
-    return Recording(chosen, world, scans, truth, walks.places, tuple(left_out))
+    discs = walk(people, walkers, motion.poses[::every, :2], period_s)
+    scans, truth = _record(chosen, world, motion, every, discs, device, progress)
+    return Recording(chosen, world, scans, truth, tuple(left_out))
 
 
 def write_recording(recording: Recording, folder: str | Path) -> list[Path]:
@@ -236,7 +232,7 @@ def _record(
     world: World,
     motion: Motion,
     every: int,
-    walks: Walks,
+    discs: tuple[F64, F64],
     device: ComputeDevice,
     progress: Progress | None,
 ) -> tuple[tuple[LogScan, ...], Trajectory]:
@@ -244,7 +240,6 @@ def _record(
     poses = motion.poses[::every]
     odometry = read_odometry(motion, course.drive, _chance(course, ODOMETRY_STREAM))[::every]
     stamps_s = np.arange(len(poses)) / lidar.rate_hz
-    discs = (walks.discs, walks.radii_m)
     increment_s = time_increment_s(lidar)
     sweeps = poses[:, None]
     if increment_s:

@@ -1,4 +1,4 @@
-"""Mutants through every reader, counted: ``python -m tests.fuzz.run [MUTANTS] [FIRST]``.
+"""Mutants through every reader: ``python -m tests.fuzz.run [MUTANTS] [FIRST]``.
 
 Each ends in a value or in one of the errors that the command line turns into one line, within a
 time and a memory that no file of a few kilobytes needs; everything else is printed with its seed.
@@ -12,12 +12,10 @@ import resource
 import signal
 import sys
 import tempfile
-import time
 import traceback
 import warnings
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass, field
 from pathlib import Path
 from types import FrameType
 
@@ -25,27 +23,13 @@ from slamfusion.errors import SlamFusionError
 from tests.fuzz.mutate import mutant
 from tests.fuzz.readers import Seed, repacked_png, seeds
 
-__all__ = ["Counts", "run_mutants", "run_one"]
+__all__ = ["READ", "REFUSED", "run_mutants", "run_one"]
 
 TIME_S = 20.0
 MEMORY_BYTES = 2 << 30
 # A message is one line; a path may stand in it twice.
 LONGEST = 1500
-
-
-@dataclass
-class Counts:
-    """What came of the mutants of one reader."""
-
-    read: int = 0
-    refused: int = 0
-    failures: list[str] = field(default_factory=list)
-    slowest_s: float = 0.0
-
-    @property
-    def total(self) -> int:
-        """Mutants."""
-        return self.read + self.refused + len(self.failures)
+READ, REFUSED = "read", "refused"
 
 
 class OverTimeError(BaseException):
@@ -72,38 +56,29 @@ def limits(time_s: float = TIME_S, memory_bytes: int = MEMORY_BYTES) -> Iterator
         signal.signal(signal.SIGALRM, handler)
 
 
-def run_one(seed: Seed, data: bytes, folder: Path, counts: Counts, what: object) -> None:
-    """Read a file and count what came of it.
-
-    Args:
-        seed: whose reader reads it, under its name.
-        data: the file.
-        folder: where it is written.
-        counts: of the reader.
-        what: the mutant is called where it fails.
-    """
+def run_one(seed: Seed, data: bytes, folder: Path) -> str:
+    """Read a file in place of a seed; return ``READ``, ``REFUSED`` or what went wrong."""
+    if seed.beside is not None:
+        (folder / seed.beside[0]).write_bytes(seed.beside[1])
     path = folder / seed.name
     path.write_bytes(data)
-    began_s = time.perf_counter()
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             with limits():
                 seed.read(path)
-        counts.read += 1
     except (SlamFusionError, OSError) as error:
         message = str(error)
         if "\n" in message or len(message) > LONGEST:
-            counts.failures.append(f"{seed.title} {what}: a message of {len(message)} characters")
-        else:
-            counts.refused += 1
+            return f"a message of {len(message)} characters"
+        return REFUSED
     except (Exception, OverTimeError):  # noqa: BLE001 - that is what is looked for
-        counts.failures.append(f"{seed.title} {what}: {traceback.format_exc(limit=-3)}")
-    counts.slowest_s = max(counts.slowest_s, time.perf_counter() - began_s)
+        return traceback.format_exc(limit=-3)
+    return READ
 
 
-def run_mutants(mutants: int, folder: Path, first: int = 0) -> dict[str, Counts]:
-    """Return the counts by reader; each seed has about as many mutants as any other.
+def run_mutants(mutants: int, folder: Path, first: int = 0) -> Iterator[tuple[str, str]]:
+    """Yield the name and the outcome of each mutant; each seed has about as many as any other.
 
     Args:
         mutants: of all seeds together.
@@ -112,45 +87,28 @@ def run_mutants(mutants: int, folder: Path, first: int = 0) -> dict[str, Counts]
     """
     (folder / "seeds").mkdir()
     found = seeds(folder / "seeds")
-    counts: dict[str, Counts] = {}
     for place, seed in enumerate(found):
-        own = counts.setdefault(seed.reader, Counts())
-        if seed.beside is not None:
-            (folder / seed.beside[0]).write_bytes(seed.beside[1])
         for number in range(first + place, first + mutants, len(found)):
             data = mutant(seed.data, number, is_text=seed.is_text)
             if seed.name.endswith(".png") and number % 2:
                 data = repacked_png(data)
-            run_one(seed, data, folder, own, number)
-    return counts
-
-
-def table(counts: dict[str, Counts]) -> str:
-    """Return the counts as lines."""
-    lines = [f"{'reader':<16}{'mutants':>9}{'read':>9}{'refused':>9}{'failed':>8}{'slowest':>11}"]
-    for name, one in sorted(counts.items()):
-        row = f"{one.total:>9}{one.read:>9}{one.refused:>9}{len(one.failures):>8}"
-        lines.append(f"{name:<16}{row}{one.slowest_s:>9.2f} s")
-    total = sum(one.total for one in counts.values())
-    failed = sum(len(one.failures) for one in counts.values())
-    return "\n".join([*lines, f"{total} mutants, {failed} failed"])
+            yield f"{seed.title} {number}", run_one(seed, data, folder)
 
 
 def main() -> int:
-    """Run as many mutants as asked for, print the counts, and what failed."""
+    """Run as many mutants as asked for; print what failed, twice each kind, and the counts."""
     words = [int(word) for word in sys.argv[1:]]
     mutants, first = [*words, *(1000, 0)[len(words) :]][:2]
     logging.disable(logging.CRITICAL)
-    with tempfile.TemporaryDirectory() as folder:
-        counts = run_mutants(mutants, Path(folder), first)
     kinds: Counter[str] = Counter()
-    for one in counts.values():
-        for failure in one.failures:
-            kinds[failure.rstrip().rsplit("\n", 1)[-1][:100]] += 1
-            if kinds[failure.rstrip().rsplit("\n", 1)[-1][:100]] <= 2:
-                print(failure)
-    print(table(counts))
-    return int(bool(kinds))
+    with tempfile.TemporaryDirectory() as folder:
+        for name, outcome in run_mutants(mutants, Path(folder), first):
+            kind = outcome.rstrip().rsplit("\n", 1)[-1][:100]
+            kinds[kind] += 1
+            if outcome not in {READ, REFUSED} and kinds[kind] <= 2:
+                print(f"{name}: {outcome}")
+    print(", ".join(f"{count} x {kind}" for kind, count in kinds.most_common()))
+    return int(bool(kinds.keys() - {READ, REFUSED}))
 
 
 if __name__ == "__main__":

@@ -6,13 +6,11 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
 from tests.fuzz.corpus import CORPUS
-from tests.fuzz.readers import Seed, seeds
-from tests.fuzz.run import Counts, OverTimeError, limits, run_mutants, run_one, table
-from tests.support.examples import examples
+from tests.fuzz.mutate import mutant
+from tests.fuzz.readers import Seed, as_pixels, encoded, repacked_png, seeds
+from tests.fuzz.run import READ, REFUSED, OverTimeError, limits, run_mutants, run_one
 
 pytestmark = pytest.mark.once
 EVERY_RUN = 200
@@ -24,81 +22,58 @@ def good(tmp_path_factory: pytest.TempPathFactory) -> list[Seed]:
     return seeds(tmp_path_factory.mktemp("seeds"))
 
 
-def place(seed: Seed, folder: Path) -> None:
-    """Put the file beside a seed there."""
-    if seed.beside is not None:
-        (folder / seed.beside[0]).write_bytes(seed.beside[1])
-
-
 def test_every_good_file_is_read(good: list[Seed], tmp_path: Path) -> None:
     """A seed that is refused would hide whatever lies behind the refusal."""
     for seed in good:
-        place(seed, tmp_path)
-        counts = Counts()
-        run_one(seed, seed.data, tmp_path, counts, "as it is")
-        assert (counts.read, counts.refused, counts.failures) == (1, 0, []), seed.title
+        assert run_one(seed, seed.data, tmp_path) == READ, seed.title
 
 
-def assert_clean(counts: dict[str, Counts], mutants: int) -> None:
-    print(table(counts))
-    failures = [failure for one in counts.values() for failure in one.failures]
-    assert not failures, "\n".join(failures[:5])
-    assert sum(one.total for one in counts.values()) == mutants
-    assert sum(one.refused for one in counts.values()) > mutants // 4
-
-
-def test_mutants_end_in_a_value_or_in_one_line(tmp_path: Path) -> None:
-    assert_clean(run_mutants(EVERY_RUN, tmp_path), EVERY_RUN)
-
-
-@pytest.mark.full
-def test_a_hundred_thousand_mutants_end_so_too(tmp_path: Path) -> None:
-    assert_clean(run_mutants(FULL_RUN, tmp_path, first=EVERY_RUN), FULL_RUN)
-
-
-@settings(max_examples=examples(60), suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(data=st.data())
-def test_bytes_of_any_kind_do_so_too(good: list[Seed], tmp_path: Path, data: st.DataObject) -> None:
-    """What hypothesis finds it also makes small."""
-    seed = data.draw(st.sampled_from(good), label="seed")
-    head = data.draw(st.sampled_from((b"", seed.data[:8], seed.data[: len(seed.data) // 2])))
-    rest = data.draw(st.binary(max_size=200) | st.text(max_size=200).map(str.encode))
-    place(seed, tmp_path)
-    counts = Counts()
-    run_one(seed, head + rest, tmp_path, counts, "of hypothesis")
-    assert not counts.failures
+@pytest.mark.parametrize(
+    ("mutants", "first"),
+    [(EVERY_RUN, 0), pytest.param(FULL_RUN, EVERY_RUN, marks=pytest.mark.full)],
+)
+def test_mutants_end_in_a_value_or_in_one_line(tmp_path: Path, mutants: int, first: int) -> None:
+    outcomes = list(run_mutants(mutants, tmp_path, first))
+    assert [item for item in outcomes if item[1] not in {READ, REFUSED}][:5] == []
+    assert len(outcomes) == mutants
+    assert sum(outcome == REFUSED for _, outcome in outcomes) > mutants // 4
 
 
 @pytest.mark.parametrize("name", CORPUS)
 def test_what_has_once_gone_wrong_is_one_line(good: list[Seed], tmp_path: Path, name: str) -> None:
     reader, suffix, make = CORPUS[name]
     seed = next(item for item in good if item.reader == reader and item.name.endswith(suffix))
-    place(seed, tmp_path)
-    counts = Counts()
-    run_one(seed, make(seed.data), tmp_path, counts, name)
-    assert (counts.refused, counts.failures) == (1, [])
+    assert run_one(seed, make(seed.data), tmp_path) == REFUSED
+
+
+@pytest.mark.parametrize("kind", ["png", "bmp"])
+def test_libraries_that_decode_damaged_pictures_print_nothing(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], kind: str
+) -> None:
+    """Checksums are made right again, so that it is the pixels that are damaged."""
+    seed = Seed("picture", f"a.{kind}", encoded(kind), as_pixels, is_text=False)
+    mutants = [mutant(seed.data, number, is_text=False) for number in range(150)]
+    data = [repacked_png(own) if kind == "png" else own for own in mutants]
+    outcomes = [run_one(seed, own, tmp_path) for own in data]
+    assert outcomes.count(REFUSED) > 50
+    assert set(outcomes) <= {READ, REFUSED}
+    assert capfd.readouterr() == ("", "")
 
 
 # -- what would find nothing would never fail ------------------------------------------------------
 
 
-def failing(read: Callable[[Path], object], folder: Path) -> list[str]:
-    counts = Counts()
-    run_one(Seed("none", "a.txt", b"", read), b"", folder, counts, 7)
-    return counts.failures
-
-
 def test_a_traceback_a_long_line_and_a_hang_are_found(tmp_path: Path) -> None:
-    def fails(_: Path) -> object:
-        return dict[str, int]()["none"]
+    def outcome(read: Callable[[Path], object]) -> str:
+        return run_one(Seed("none", "a.txt", b"", read), b"", tmp_path)
 
     def talks(path: Path) -> object:
         raise OSError(f"{path}\n")
 
-    assert "KeyError" in failing(fails, tmp_path)[0]
-    assert "a message of" in failing(talks, tmp_path)[0]
-    assert "MemoryError" in failing(lambda _: bytearray(3 << 30), tmp_path)[0]
-    assert failing(lambda _: 1, tmp_path) == []
+    assert "KeyError" in outcome(lambda _: dict[str, int]()["none"])
+    assert "a message of" in outcome(talks)
+    assert "MemoryError" in outcome(lambda _: bytearray(3 << 30))
+    assert outcome(lambda _: 1) == READ
 
     def hang() -> None:
         with limits(time_s=0.05):

@@ -111,23 +111,17 @@ def test_scans_at_true_poses_lie_on_true_walls(name: str) -> None:
 
 
 @pytest.mark.once
-def test_the_recording_says_where_the_people_were() -> None:
+def test_people_stand_in_the_way_of_beams() -> None:
     course = replace(named_course("hall", 1), people=2)
     lidar = replace(course.lidar, beams=181, outlier_share=0.0, mixed_share=0.0)
-    with_people = simulate(replace(course, lidar=lidar), device())
-    without = simulate(replace(course, lidar=lidar, people=0), device())
-    assert with_people.people.shape == (len(with_people.scans), 2, 2)
-    assert without.people.shape == (len(without.scans), 0, 2)
-    away = []
-    for number, (a, b) in enumerate(zip(with_people.scans, without.scans, strict=True)):
-        nearer = a.scan.is_hit() & (a.scan.ranges < b.scan.ranges - 0.3)
-        points = with_people.truth.pose(number).transform(a.scan.points(nearer))
-        apart = points[:, None] - with_people.people[number]
-        away.append(np.hypot(apart[..., 0], apart[..., 1]).min(axis=1))
-    found = np.concatenate(away)
-    assert len(found) > 1000
-    # Half a stride, half the way between the legs, a leg's radius, and noise.
-    assert np.mean(found < 0.4) > 0.99
+    with_people, without = (
+        simulate(replace(course, lidar=lidar, people=count), device()) for count in (2, 0)
+    )
+    nearer = [
+        np.count_nonzero(a.scan.is_hit() & (a.scan.ranges < b.scan.ranges - 0.3))
+        for a, b in zip(with_people.scans, without.scans, strict=True)
+    ]
+    assert sum(nearer) > 1000
 
 
 @pytest.mark.once

@@ -15,7 +15,6 @@ from slamfusion.errors import GridError
 from slamfusion.geometry import Pose2
 from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, CellBox, OccupancyGrid, trinary_cells
 
-RESOLUTIONS_M = (0.04, 0.05, 0.1)
 # Side of the blocks in which walls gain or lose their cell on the same side.
 THICKNESS_BLOCK = 12
 # Rows rendered at a time: few enough to stay in the cache.
@@ -58,61 +57,6 @@ class Degradation:
     flip_share: float = 0.0
     speckle_share: float = 0.0
     margin_share: float = 0.0
-
-    def __post_init__(self) -> None:
-        """Refuse shares outside their range and options that contradict each other."""
-        for name, low, high in (
-            ("crop_share", 0.05, 1.0),
-            ("flip_share", 0.0, 1.0),
-            ("speckle_share", 0.0, 1.0),
-            ("margin_share", 0.0, 0.95),
-        ):
-            if not low <= getattr(self, name) <= high:
-                raise ValueError(f"{name} must lie in [{low}, {high}], found {getattr(self, name)}")
-        needs_lattice = self.origin_yaw_rad or self.resolution is not None or self.bend_cells
-        if not self.resample and needs_lattice:
-            raise ValueError("origin_yaw_rad, resolution and bend_cells need resample=True")
-
-
-def draw_degradation(
-    rng: np.random.Generator, *, bend_cells: float = 0.0, speckle_share: float = 0.0
-) -> Degradation:
-    """Draw the faults of one random case.
-
-    Any yaw, a shift up to half the map, 0 to 5 % flipped cells, crops down to half, walls thinned
-    or thickened by a cell, 0.04 / 0.05 / 0.1 m, an origin yaw in half of the cases, a margin of
-    0 to 90 %; one case in eight is moved through its origin alone.
-
-    Args:
-        rng: source of every random choice.
-        bend_cells: upper end of the amplitude drawn for the warp.
-        speckle_share: upper end of the share drawn for unknown cells in free space.
-    """
-    resample = bool(rng.random() < 7 / 8)
-    drawn = Degradation(
-        yaw_rad=float(rng.uniform(-math.pi, math.pi)),
-        shift_share=(float(rng.uniform(-0.5, 0.5)), float(rng.uniform(-0.5, 0.5))),
-        crop_share=float(rng.uniform(0.5, 1.0)),
-        wall_change_cells=int(rng.integers(-1, 2)),
-        flip_share=float(rng.uniform(0.0, 0.05)),
-        speckle_share=float(rng.uniform(0.0, 1.0)) * speckle_share,
-        margin_share=float(rng.uniform(0.0, 0.9)),
-        origin_yaw_rad=float(rng.uniform(-math.pi, math.pi)) * float(rng.integers(0, 2)),
-        resolution=float(rng.choice(RESOLUTIONS_M)),
-        bend_cells=float(rng.uniform(0.0, 1.0)) * bend_cells,
-    )
-    if resample:
-        return drawn
-    return Degradation(
-        yaw_rad=drawn.yaw_rad,
-        shift_share=drawn.shift_share,
-        resample=False,
-        crop_share=drawn.crop_share,
-        wall_change_cells=drawn.wall_change_cells,
-        flip_share=drawn.flip_share,
-        speckle_share=drawn.speckle_share,
-        margin_share=drawn.margin_share,
-    )
 
 
 def degrade_map(

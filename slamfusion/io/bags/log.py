@@ -95,11 +95,10 @@ class BagLog(ScanLog):
             first = self._first_messages(bag)
             laser_frame = first[0].header.frame_id.lstrip("/")
             frames = BagFrames(bag, config, self._scan_topic, laser_frame)
-            frames.find_odometry()
+            self._odometry = frames.odometry()
         # One or a few of many scans may lack a stamp.
         self._uses_record_time = not any(stamp_s(message) for message in first)
-        self._tree, self._odometry = frames.tree, frames.odometry
-        self._base_frame = frames.base_frame
+        self._tree, self._base_frame = frames.tree, frames.base_frame(self._odometry)
         if self._odometry is None and config.odom_topic != "none":
             self.notes.append(
                 "no odometry: neither nav_msgs/Odometry nor transforms from "
@@ -197,15 +196,13 @@ class BagLog(ScanLog):
             )
             mount = self._mounts[frame] = Mount()
             return mount
-        is_static = self._tree.is_constant(self._base_frame, frame)
-        pose = self._tree.sample(self._base_frame, frame, time_s)[0]
-        mount = Mount.of(pose, is_static=is_static)
+        mount = Mount.of(self._tree.sample(self._base_frame, frame, time_s)[0])
         if mount.tilt_rad > TILT_MAX_RAD:
             raise LogError(
                 f"{self.path}: the laser {frame!r} is tilted by {math.degrees(mount.tilt_rad):.0f} "
                 "degrees, wanted one that lies level; choose another with scan_topic"
             )
-        if is_static:
+        if self._tree.is_constant(self._base_frame, frame):
             self._mounts[frame] = mount
             if mount.tilt_rad > _TILT_NOTED_RAD:
                 self.notes.append(

@@ -66,32 +66,25 @@ class BagOdometry:
 
 
 class BagFrames:
-    """The transforms and the odometry of a bag.
-
-    Attributes:
-        odometry: from messages, else from transforms; None without either.
-        base_frame: the frame of the odometry's pose; empty if unknown.
-    """
+    """The transforms of a bag, in ``tree``, and the odometry."""
 
     def __init__(
         self, bag: OpenBag, config: LogConfig, scan_topic: str = "", laser_frame: str = ""
     ) -> None:
         """Read the transforms; of several robots those in the namespace of ``scan_topic``."""
         self.tree = TransformTree()
-        self.odometry: BagOdometry | None = None
-        self.base_frame = ""
         self._bag, self._config = bag, config
         self._scan_topic, self._laser_frame = scan_topic, laser_frame
         self._read_transforms()
 
-    def find_odometry(self) -> None:
-        """Find the odometry; refuse an unknown configured base frame."""
-        self.odometry = self._found_odometry()
-        self.base_frame = self._found_base_frame()
+    def odometry(self) -> BagOdometry | None:
+        """Return it by messages, else by transforms; refuse an unknown configured base frame."""
+        found = self._found_odometry()
         wanted = self._config.base_frame
-        known = self.tree.frames | ({self.odometry.base_frame} if self.odometry else set())
+        known = self.tree.frames | ({found.base_frame} if found else set())
         if wanted is not None and wanted.lstrip("/") not in known:
             raise LogError(self._no_way(self._config.odom_frame, wanted))
+        return found
 
     def _read_transforms(self) -> None:
         unusable = 0
@@ -219,7 +212,7 @@ class BagFrames:
         """
         from scipy.spatial.transform import Rotation  # noqa: PLC0415  (who reads maps needs none)
 
-        base = self._found_base_frame()
+        base = self.base_frame(None)
         world = self.tree.root(base)
         stamps_s = self.tree.change_stamps_s(world, base)
         if not stamps_s.size:
@@ -233,10 +226,10 @@ class BagFrames:
         self._bag.notes.append(f"taken as its path: {base!r} in {world!r}, by transforms")
         return np.column_stack((stamps_s, matrices[:, :3, 3], turns))
 
-    def _found_base_frame(self) -> str:
+    def base_frame(self, odometry: BagOdometry | None) -> str:
         """Return the frame of the odometry's pose; empty if unknown."""
-        if self.odometry is not None and self.odometry.base_frame:
-            return self.odometry.base_frame
+        if odometry is not None and odometry.base_frame:
+            return odometry.base_frame
         if self._config.base_frame is not None:
             return self._config.base_frame.lstrip("/")
         known = self.tree.frames
