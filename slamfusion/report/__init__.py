@@ -13,25 +13,12 @@ except ImportError as _error:
     _message = "the report needs matplotlib; pip install 'slamfusion[report]'"
     raise SlamFusionError(_message) from _error
 
-from slamfusion.report.errors import MeasuredPath
-from slamfusion.report.fusion_report import write_failure_report, write_fusion_report
-from slamfusion.report.page import Fact
-from slamfusion.report.reports import (
-    write_difference_image,
-    write_evaluation_report,
-    write_judge_report,
-    write_slam_report,
-    write_trajectory_report,
-)
-
-__all__ = [
-    "Fact",
-    "MeasuredPath",
-    "write_difference_image",
-    "write_evaluation_report",
-    "write_failure_report",
-    "write_fusion_report",
-    "write_judge_report",
-    "write_slam_report",
-    "write_trajectory_report",
-]
+from slamfusion.report.errors import MeasuredPath as MeasuredPath
+from slamfusion.report.fusion_report import write_failure_report as write_failure_report
+from slamfusion.report.fusion_report import write_fusion_report as write_fusion_report
+from slamfusion.report.page import Fact as Fact
+from slamfusion.report.reports import write_difference_image as write_difference_image
+from slamfusion.report.reports import write_evaluation_report as write_evaluation_report
+from slamfusion.report.reports import write_judge_report as write_judge_report
+from slamfusion.report.reports import write_slam_report as write_slam_report
+from slamfusion.report.reports import write_trajectory_report as write_trajectory_report

@@ -5,8 +5,6 @@ from __future__ import annotations
 import gzip
 from collections.abc import Callable
 
-__all__ = ["CORPUS"]
-
 Make = Callable[[bytes], bytes]
 
 

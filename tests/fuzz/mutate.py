@@ -5,8 +5,6 @@ from __future__ import annotations
 import random
 import re
 
-__all__ = ["mutant"]
-
 NUMBERS = (
     b"0", b"-1", b"nan", b"-nan", b"inf", b"-inf", b"1e308", b"-1e308", b"1e-300", b"1e999",
     b"1e15", b"2147483648", b"-9223372036854775809", b"18446744073709551616", b"0x7fffffff",

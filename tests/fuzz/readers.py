@@ -31,8 +31,6 @@ from slamfusion.slam.registry import load_config
 from slamfusion.vote.lattice import Lattice
 from tests.slam.drives import drive
 
-__all__ = ["Seed", "seeds"]
-
 
 @dataclass(frozen=True)
 class Seed:

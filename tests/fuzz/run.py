@@ -23,8 +23,6 @@ from slamfusion.errors import SlamFusionError
 from tests.fuzz.mutate import mutant
 from tests.fuzz.readers import Seed, repacked_png, seeds
 
-__all__ = ["READ", "REFUSED", "run_mutants", "run_one"]
-
 TIME_S = 20.0
 MEMORY_BYTES = 2 << 30
 # A message is one line; a path may stand in it twice.

@@ -11,8 +11,6 @@ import numpy.typing as npt
 from slamfusion.geometry import wrap_angle
 from slamfusion.pose_graph import PoseGraph
 
-__all__ = ["GtsamGraph", "has_gtsam"]
-
 Array = npt.NDArray[np.float64]
 
 

@@ -13,20 +13,6 @@ from slamfusion.config import NormalizeConfig
 from slamfusion.geometry import Pose2
 from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid, trinary_cells
 
-__all__ = [
-    "Axis",
-    "Halves",
-    "Side",
-    "along",
-    "halves_of",
-    "kept",
-    "mirror_image",
-    "move_frame",
-    "render",
-    "trinary",
-    "wear",
-]
-
 Axis = Literal["x", "y"]
 Side = Literal["low", "high"]
 

@@ -11,8 +11,6 @@ from jsonschema.exceptions import best_match
 
 from slamfusion.jobs.records import load_schema
 
-__all__ = ["check_document", "command_of"]
-
 # Commands whose first argument is part of their name.
 GROUPS = {"graph", "experiment", "live"}
 FAILURE = "FailureDocument"

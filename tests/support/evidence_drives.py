@@ -26,8 +26,6 @@ from slamfusion.sim.simulate import simulate
 from slamfusion.slam.registry import BUILT_IN
 from slamfusion.trajectory import Trajectory
 
-__all__ = ["Drive", "drive_trials", "load_scans", "make_drive", "read_drive", "save_scans"]
-
 README = """\
 Simulated drives of the `failures` experiment, made by tests/support/evidence_drives.py.
 

@@ -8,8 +8,6 @@ from __future__ import annotations
 
 from hypothesis import settings
 
-__all__ = ["FULL", "examples"]
-
 # Examples of a test that says no number, under --full.
 FULL = 100
 

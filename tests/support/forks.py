@@ -33,8 +33,6 @@ from multiprocessing import util
 from pathlib import Path
 from typing import Any
 
-__all__ = ["Forked", "Server"]
-
 # Read when a node or a device begins, not when Python or a library is loaded.
 READ_LATE = {"ROS_DOMAIN_ID", "POCL_DEVICES"}
 # Written by pytest, and by OpenCV and pyopencl where they are loaded.

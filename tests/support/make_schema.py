@@ -50,8 +50,6 @@ from slamfusion.jobs.records import FailureDocument
 from slamfusion.json_values import POSE_KEYS, printed_names
 from slamfusion.slam.records import HealthJson
 
-__all__ = ["DOCUMENTS", "PATH", "make_schema", "to_text"]
-
 PATH = Path(__file__).resolve().parents[2] / "slamfusion" / "jobs" / "schema.json"
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
 

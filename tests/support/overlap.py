@@ -45,28 +45,6 @@ from tests.support.cuts import (
 )
 from tests.support.datasets import MAPS, MapEntry, load_entry, map_entries
 
-__all__ = [
-    "CUT_MAPS",
-    "NEGATIVES",
-    "OVERLAPS",
-    "POSITIVES",
-    "SIMULATED",
-    "Case",
-    "Draft",
-    "Part",
-    "are_different_places",
-    "cross_slam_pairs",
-    "different_places",
-    "disjoint_halves",
-    "drawn",
-    "half_pairs",
-    "load_source",
-    "mirrored",
-    "place_of",
-    "scaled",
-    "simulated",
-]
-
 OVERLAPS = (0.6, 0.4, 0.3, 0.2, 0.1)
 AXES: tuple[Axis, ...] = ("x", "y")
 SIDES: tuple[Side, ...] = ("low", "high")

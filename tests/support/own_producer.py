@@ -10,8 +10,6 @@ from pathlib import Path
 
 import pytest
 
-__all__ = ["NAME", "PACKAGE", "with_own_producer"]
-
 PACKAGE = Path(__file__).parent / "dead_reckoning"
 NAME = "dead_reckoning"
 

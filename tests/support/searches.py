@@ -13,8 +13,6 @@ from slamfusion.align.search import COARSE_CHANCE_MAX, search
 from slamfusion.align.shifts import SearchWindow
 from slamfusion.config import AlignConfig
 
-__all__ = ["CALLERS", "RememberedSearches"]
-
 # Modules that ask for a search by its name.
 CALLERS = (searching, answer, hypotheses)
 

@@ -23,8 +23,6 @@ from slamfusion.grid import UNKNOWN, OccupancyGrid
 from slamfusion.sim import draw_building
 from tests.support.degrade import Degradation, degrade_map
 
-__all__ = ["ManyMaps", "draw_site", "many_maps"]
-
 F64 = npt.NDArray[np.float64]
 
 RESOLUTION = 0.05

@@ -21,8 +21,6 @@ from slamfusion.sim.courses import named_course
 from slamfusion.sim.route import FreeSpace
 from slamfusion.slam.registry import make_producer
 
-__all__ = ["Halves", "cut_drive", "cut_scans", "drive_through", "map_of", "off_by_m", "off_by_rad"]
-
 WIDTH_M, HEIGHT_M = 22.0, 14.0
 # No place is farther from a stop; a room is passed, not searched.
 SPACING_M = 4.5

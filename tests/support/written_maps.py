@@ -8,8 +8,6 @@ from slamfusion.align.records import Alignment, FusionResult, InputRecord
 from slamfusion.geometry import Pose2
 from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 
-__all__ = ["CELL", "MEANING", "fits", "written_map"]
-
 CELL = 0.1
 MEANING = {".": FREE, "#": OCCUPIED, " ": UNKNOWN}
 
