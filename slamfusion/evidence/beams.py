@@ -54,7 +54,6 @@ class JudgedScans:
         facings_rad: (B,) float64, the direction that the surface faces that each hit, in the
             robot's base frame; see ``surface_facings``.
         hit_scans: (B,) int64, the scan of each, never falling.
-        hits_total: hits of the scans, judged or not.
     """
 
     stamps_s: F64
@@ -64,7 +63,6 @@ class JudgedScans:
     hits: F64
     facings_rad: F64
     hit_scans: I64
-    hits_total: int
 
     def __len__(self) -> int:
         return len(self.stamps_s)
@@ -92,7 +90,6 @@ class ScanHits:
     laser: tuple[float, float]
     odometry: Pose2 | None
     rows: F64
-    total: int
 
 
 def scan_hits(item: LogScan) -> ScanHits | None:
@@ -106,7 +103,7 @@ def scan_hits(item: LogScan) -> ScanHits | None:
         return None
     laser = mount.x, mount.y
     rows = np.column_stack((ends, surface_facings(ends, laser)))[spaced(ends)]
-    return ScanHits(item.scan.stamp_s, laser, item.odometry, rows, len(ends))
+    return ScanHits(item.scan.stamp_s, laser, item.odometry, rows)
 
 
 def judged_scans(scans: Iterable[LogScan], most_hits: int = MOST_HITS) -> JudgedScans:
@@ -124,10 +121,9 @@ def judged_hits(scans: Iterable[ScanHits], most_hits: int = MOST_HITS) -> Judged
     """
     stamps, lasers, odometry = [], [], []
     kept: list[F64] = []
-    total = count = 0
+    count = 0
     step = 1
     for item in scans:
-        total += item.total
         stamps.append(item.stamp_s)
         lasers.append(item.laser)
         if (pose := item.odometry) is not None:
@@ -152,7 +148,6 @@ def judged_hits(scans: Iterable[ScanHits], most_hits: int = MOST_HITS) -> Judged
         hits=hits[:, :2],
         facings_rad=hits[:, 2],
         hit_scans=np.repeat(np.arange(len(kept), dtype=np.int64), [len(own) for own in kept]),
-        hits_total=total,
     )
 
 

@@ -103,7 +103,7 @@ class _Motions:
 
 def fuse_paths(
     paths: Mapping[str, Trajectory],
-    weights: Mapping[str, npt.ArrayLike] | None = None,
+    weights: Mapping[str, float] | None = None,
     *,
     sharing_fault: Collection[str] = (),
     name: str = "fused",
@@ -112,8 +112,7 @@ def fuse_paths(
 
     Args:
         paths: by name, each in a frame of its own, at stamps of the same scans.
-        weights: of a path, 0 to 1, by name: one number, or (poses,) of them; default: 1. See
-            ``trust_in_paths``.
+        weights: of the paths by name, 0 to 1; default: 1. See ``trust_in_paths``.
         sharing_fault: names of paths of SLAMs that close no loops: over long spans they count
             together as much as the best of them.
 

@@ -11,7 +11,6 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from slamfusion.errors import TrajectoryError
 from slamfusion.geometry import F64, Pose2, fit_motion, moved_poses, with_levers, wrap_angles
@@ -48,23 +47,26 @@ class LaidPaths:
 
 
 def lay_paths(
-    paths: Mapping[str, Trajectory], weights: Mapping[str, npt.ArrayLike] | None = None
+    paths: Mapping[str, Trajectory], weights: Mapping[str, float] | None = None
 ) -> LaidPaths:
     """Move paths of one drive into the frame of the path that is closest to the others.
 
     Args:
         paths: by name, each in its own frame; the stamps are those of the path with most poses.
-        weights: 0 to 1, by name: one number, or (poses,) of them; default: 1.
+        weights: 0 to 1, by name; default: 1.
     """
     if not paths:
         raise TrajectoryError("there is no path to fuse; give at least one")
-    given = weights or {}
     longest = max(paths.values(), key=len)
     stamps_s = longest.stamps_s
     poses = np.full((len(paths), len(stamps_s), 3), np.nan)
     believed = np.zeros(poses.shape[:2])
     for row, (name, path) in enumerate(paths.items()):
-        own = _checked_weights(name, path, given.get(name))
+        if not len(path):
+            raise TrajectoryError(f"{name}: the path has no pose; leave it out")
+        weight = (weights or {}).get(name, 1.0)
+        if not 0.0 <= weight <= 1.0:
+            raise TrajectoryError(f"{name}: wanted a weight in [0, 1], found {weight}")
         near, meets = path.matches(stamps_s)
         if not meets.any():
             raise TrajectoryError(
@@ -72,7 +74,7 @@ def lay_paths(
                 "give paths of the same scans"
             )
         poses[row, meets] = path.poses[near[meets]]
-        believed[row, meets] = own[near[meets]]
+        believed[row, meets] = weight
     return LaidPaths(tuple(paths), stamps_s, _in_one_frame(poses, believed), believed)
 
 
@@ -161,21 +163,6 @@ def _weighted_median(values: F64, weights: F64) -> float:
     order = np.argsort(values, kind="stable")
     summed = np.cumsum(weights[order])
     return float(values[order[np.searchsorted(summed, 0.5 * summed[-1])]])
-
-
-def _checked_weights(name: str, path: Trajectory, weights: npt.ArrayLike | None) -> F64:
-    """Return the weights of a path's poses, (poses,)."""
-    if not len(path):
-        raise TrajectoryError(f"{name}: the path has no pose; leave it out")
-    if weights is None:
-        return np.ones(len(path))
-    own = np.asarray(weights, dtype=np.float64)
-    if own.ndim == 0:
-        own = np.full(len(path), float(own))
-    if own.shape != (len(path),) or not ((own >= 0.0) & (own <= 1.0)).all():
-        message = f"{name}: wanted weights in [0, 1], one or {len(path)}, found {own.shape}"
-        raise TrajectoryError(message)
-    return own
 
 
 # The greatest scale, metres (and half of that in radians): the distance between two rooms.

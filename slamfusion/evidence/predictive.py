@@ -191,11 +191,6 @@ class PathEvidence:
         first, second = self.scores[a], self.scores[b]
         return compare_sums(first.sums, second.sums, first.beams, self.is_judged)
 
-    def tied(self) -> tuple[str, ...]:
-        """Return the best path and all tied ones, the best first."""
-        best, *others = self.ranking()
-        return (best, *(name for name in others if self.compare(best, name).verdict != "better"))
-
     def over_time(self, name: str) -> tuple[F64, F64, I64, F64]:
         """Return a path's score over the chunks of the drive.
 

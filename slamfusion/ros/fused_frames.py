@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from geometry_msgs.msg import PoseWithCovarianceStamped
 
-from slamfusion.fusion.live.driving import OdomFrame, PoseSpread
+from slamfusion.fusion.live.driving import OdomFrame
 from slamfusion.fusion.live.session import FusionState
 from slamfusion.geometry import Pose2
 from slamfusion.io.transforms import TransformError
@@ -117,7 +117,7 @@ class FusedFrames:
         self._has_sent_odometry = False
         self._resets = 0
         self._output = TransformOutput(node.node)
-        self._spread, self._odom_frame = PoseSpread(), OdomFrame()
+        self._odom_frame = OdomFrame()
         self._pose_topic = node.node.create_publisher(
             PoseWithCovarianceStamped, POSE_TOPIC, qos.STREAM
         )
@@ -194,7 +194,7 @@ class FusedFrames:
 
     def _send(self, source: MapSource, heard: HeardPose, *, is_revised: bool) -> None:
         """Send what follows from a pose; ``is_revised``: again, after a new fusion."""
-        settings, live = self._node.settings, self._node.live
+        settings = self._node.settings
         transform = self._state.transform(source.name)
         if transform is None and source.name not in self._supported:
             return
@@ -202,22 +202,16 @@ class FusedFrames:
         if transform is not None:
             self._send_frame(source, transform, heard.stamp)
         self.leader = self._choose()
-        is_leader = source.name == self.leader
-        own = source.name, heard.stamp_s, heard.pose
-        located = self._node.drive.live.locate(*own) if is_leader else None
+        if source.name != self.leader:
+            return
+        located = self._node.drive.live.locate(source.name, heard.stamp_s, heard.pose)
         if located is not None:
             pose, covariance = located.pose, located.covariance
         elif transform is None:
             return
         else:
             pose = transform.compose(heard.pose)
-            if not is_revised:
-                stamp_ns = messages.stamp_ns(heard.stamp)
-                self._spread.hear(self.leader, source.name, stamp_ns, pose)
-            alone = live.pose_apart_m, live.pose_apart_rad
-            covariance = self._spread.covariance(heard.stamp_s, *alone)
-        if not is_leader:
-            return
+            covariance = self._node.covariance(self.leader, heard.stamp_s)
         if located is None or located.is_matched or self._unmatched_s is None:
             self._unmatched_s = heard.stamp_s
         self._name_unmatched(heard.stamp_s - self._unmatched_s)

@@ -24,7 +24,7 @@ from slamfusion.errors import GridError
 from slamfusion.evidence.conditions import CONDITIONS, Condition
 from slamfusion.fusion.live import LiveFusion, LiveInput, State
 from slamfusion.fusion.live.session import FusedMap, FusionSession, warm_up
-from slamfusion.geometry import Pose2
+from slamfusion.geometry import F64, Pose2
 from slamfusion.io.map_server import load_map
 from slamfusion.jobs.live_drive import DriveSolution
 from slamfusion.ros import messages, qos
@@ -251,6 +251,11 @@ class FusionNode(NodeBase):
 
     def _carry_out(self, name: str) -> tuple[bool, str]:
         return self._services.carry_out(name)
+
+    def covariance(self, leader: str, stamp_s: float) -> F64:
+        """Return the covariance of the leader's pose by the poses of the other voters."""
+        voters = [one.name for one in self.session.snapshot.inputs.values() if one.accepted]
+        return self._fusion.covariance(leader, voters, stamp_s)
 
     def ask_reset(self) -> None:
         """Start a new fused frame; from any thread."""

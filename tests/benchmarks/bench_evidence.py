@@ -156,6 +156,8 @@ def judge_drive(folder: Path, device: ComputeDevice) -> Iterator[Found]:
         fused = {FUSED: fuse_weighed_paths(parts, alone, device).trajectory}
         evidence = score_paths(judged, {TRUTH: truth, **parts, **fused, **wrong}, device)
         contest = evidence.of_paths((TRUTH, *parts))
+        best, *others = contest.ranking()
+        behind = [name for name in others if contest.compare(best, name).verdict == "better"]
         _, taken, _ = choose_path(evidence.of_paths((*parts, FUSED)), parts, FUSED)
         ate_m = {
             name: trajectory_errors(path, truth).ate.rmse for name, path in (parts | fused).items()
@@ -173,7 +175,7 @@ def judge_drive(folder: Path, device: ComputeDevice) -> Iterator[Found]:
                 for name in evidence.scores
                 if any(part.away_m >= PART_M for part in find_displacements(evidence, name, device))
             ),
-            contest.tied(),
+            (best, *(name for name in others if name not in behind)),
             ate_m,
             taken,
             time_s=time_s,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 from slamfusion.align.align import align_pair, track_pair
 from slamfusion.align.decide import SAME_TIME_SHARE, DecisionKind, decide_mirrored
@@ -24,9 +25,8 @@ from slamfusion.vote.lattice import Lattice
 JUMP_RAD = 0.05
 
 
-@dataclass(frozen=True)
-class LastSearch:
-    """What the search, or the first fusion, gave for a pair.
+class LastSearch(NamedTuple):
+    """The result of the search, or the first fusion, for a pair.
 
     Attributes:
         score: of all walls of both maps; it falls where the maps grow apart.
@@ -35,11 +35,6 @@ class LastSearch:
 
     score: float
     share: float = 1.0
-
-    @classmethod
-    def of(cls, pair: Alignment) -> LastSearch:
-        """Return what is kept of a pair that was searched."""
-        return cls(pair.score, explained(pair))
 
 
 def explained(pair: Alignment) -> float:
@@ -117,7 +112,9 @@ class Aligner:
 
     def note(self, pair: Alignment) -> None:
         """Keep the search result of a pair."""
-        self._found[frozenset((pair.reference, pair.moving))] = LastSearch.of(pair)
+        self._found[frozenset((pair.reference, pair.moving))] = LastSearch(
+            pair.score, explained(pair)
+        )
 
     @property
     def scores(self) -> dict[frozenset[str], float]:
@@ -145,7 +142,7 @@ class Aligner:
         if fit is not None:
             names = frozenset((track.name, held.name))
             if (found := self._found.get(names)) is not None:
-                self._found[names] = replace(found, score=min(found.score, fit[0].score))
+                self._found[names] = found._replace(score=min(found.score, fit[0].score))
             self.accept(track, fit[1], fit[0], is_tracked=True)
         return fit is not None
 
@@ -169,8 +166,8 @@ class Aligner:
 
     def may_search(self, track: Input) -> bool:
         """Whether it may be searched everywhere now: one per update, each not too often."""
-        pause = max(self.live.search_pause_s, track.pace.rest_s)
-        return not self.has_searched and self.now_s - track.pace.last_s >= pause
+        pause = max(self.live.search_pause_s, track.rest_s)
+        return not self.has_searched and self.now_s - track.searched_s >= pause
 
     def search(self, track: Input, held: AnchorMap) -> None:
         """Search an input everywhere and accept, doubt or reject the result."""
@@ -234,8 +231,7 @@ class Aligner:
     def searched(self, track: Input, held: AnchorMap, *, is_swapped: bool = False) -> Alignment:
         """Search an input everywhere."""
         self.has_searched = True
-        pace = track.pace
-        pace.last_s = self.now_s
+        track.searched_s = self.now_s
         start = self._expected(track, held)
         own, began_s = self.features(track), time.perf_counter()
         sides, where = Pair(held.features, own), start
@@ -243,11 +239,11 @@ class Aligner:
             sides = Pair(own, held.features)
             where = None if start is None else start.inverse()
         pair = align_pair(sides, self.config.align, where, thorough=False, image_after=MAY_BE_IMAGE)
-        pace.count += 1
+        track.searches += 1
         if is_swapped:
             pair = replace(pair, transform=pair.transform.inverse())
         spent_s = time.perf_counter() - began_s
-        pace.rest_s = 0.0 if pair.accepted or spent_s < LONG_S else REST * spent_s
+        track.rest_s = 0.0 if pair.accepted or spent_s < LONG_S else REST * spent_s
         return pair
 
     def is_jump(self, track: Input, a: Pose2, b: Pose2) -> bool:

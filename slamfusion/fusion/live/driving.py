@@ -1,4 +1,4 @@
-"""The odometry frame in the fused frame, and the certainty of the robot's pose; no ROS.
+"""The odometry frame in the fused frame; no ROS.
 
 A new pose moves the odometry frame. A planner and a controller cannot follow a jump, so
 ``OdomFrame`` moves it with limited speed. Between corrections it stands still.
@@ -7,11 +7,8 @@ A new pose moves the odometry frame. A planner and a controller cannot follow a 
 from __future__ import annotations
 
 import math
-from collections import OrderedDict, deque
 
-import numpy as np
-
-from slamfusion.geometry import F64, Pose2, wrap_angle
+from slamfusion.geometry import Pose2
 
 # The odometry carries the robot for this long after the last pose, seconds.
 CARRIED_S = 10.0
@@ -19,12 +16,6 @@ CARRIED_S = 10.0
 JUMP_M_S = 10.0
 # Longest time between two sent transforms that counts for the speed, seconds.
 LONGEST_S = 1.0
-# Age, seconds, and number of differences of poses that count at most.
-SPREAD_S, MOST_DIFFERENCES = 10.0, 300
-# Stamps whose poses wait for those of slower inputs.
-STAMPS = 256
-# Deviation of a pose that all inputs agree on, metres and radians: of half a cell of 0.05 m.
-LEAST_M, LEAST_RAD = 0.025, 0.01
 
 
 class OdomFrame:
@@ -88,44 +79,3 @@ class OdomFrame:
         needed_s = max(math.hypot(left.x, left.y) / m_s, abs(left.yaw_rad) / rad_s)
         share = min(1.0, spent_s / needed_s) if needed_s > 0.0 else 1.0
         return Pose2(share * left.x, share * left.y, share * left.yaw_rad)
-
-
-class PoseSpread:
-    """How far the voters' poses of equal stamps are apart: the covariance of the fused pose.
-
-    The inputs read the same scans, so their errors are correlated. So the mean square of the
-    differences counts whole, which is twice the variance of independent inputs.
-    """
-
-    def __init__(self) -> None:
-        self._leader = ""
-        self._poses: OrderedDict[int, dict[str, Pose2]] = OrderedDict()
-        self._differences: deque[tuple[float, float, float, float]] = deque(maxlen=MOST_DIFFERENCES)
-
-    def hear(self, leader: str, name: str, stamp_ns: int, pose: Pose2) -> None:
-        """Add a voter's pose in the fused frame; ``leader`` is the input whose pose is used."""
-        if leader != self._leader:
-            self._leader = leader
-            self._differences.clear()
-        here = self._poses.setdefault(stamp_ns, {})
-        for other in here if name == leader else (leader,):
-            if other != name and (there := here.get(other)) is not None:
-                turn = wrap_angle(pose.yaw_rad - there.yaw_rad)
-                self._differences.append(
-                    (1e-9 * stamp_ns, pose.x - there.x, pose.y - there.y, turn)
-                )
-        here[name] = pose
-        if len(self._poses) > STAMPS:
-            self._poses.popitem(last=False)
-
-    def covariance(self, stamp_s: float, alone_m: float, alone_rad: float) -> F64:
-        """Return (3, 3) float64: x and y in metres, yaw in radians, in axes of the fused frame.
-
-        Without other inputs, ``alone_m`` and ``alone_rad`` are the deviations.
-        """
-        rows = np.array([row[1:] for row in self._differences if stamp_s - row[0] <= SPREAD_S])
-        if not len(rows):
-            return np.diag((alone_m**2, alone_m**2, alone_rad**2))
-        return np.asarray(
-            rows.T @ rows / len(rows) + np.diag((LEAST_M**2, LEAST_M**2, LEAST_RAD**2))
-        )

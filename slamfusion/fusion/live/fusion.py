@@ -21,7 +21,7 @@ docs/concepts/live_fusion.md states the rules. In the code:
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -40,7 +40,7 @@ from slamfusion.fusion.live.poses import PoseWatch
 from slamfusion.fusion.live.state import LiveState, StateError
 from slamfusion.fusion.live.supervisor import InputSupervisor
 from slamfusion.fusion.live.voting import FusedLayers
-from slamfusion.geometry import Pose2
+from slamfusion.geometry import F64, Pose2
 from slamfusion.grid import IDENTITY, CellBox, OccupancyGrid
 from slamfusion.vote.lattice import Lattice
 from slamfusion.vote.tiles import check_votes
@@ -158,6 +158,11 @@ class LiveFusion(Mailbox):
         """Receive a pose of the robot in the input's map frame, for the scan at ``stamp_s``."""
         with self._lock:
             self._poses.hear(name, stamp_s, pose)
+
+    def covariance(self, leader: str, voters: Collection[str], stamp_s: float) -> F64:
+        """Return that of a voter's pose by the poses of others; see ``PoseWatch.covariance``."""
+        with self._lock:
+            return self._poses.covariance(leader, voters, stamp_s)
 
     def reset(self) -> None:
         """Forget the fused frame; every input's newest map starts the next one."""

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from enum import Enum
 
 import numpy as np
@@ -152,15 +152,6 @@ class Jump:
     confirms: int = 0
 
 
-@dataclass
-class SearchPace:
-    """When an input may be searched everywhere: time of the last search and least pause after."""
-
-    last_s: float = -math.inf
-    count: int = 0
-    rest_s: float = 0.0
-
-
 @dataclass(eq=False)
 class Input:
     """The state of one input.
@@ -175,6 +166,8 @@ class Input:
         contradiction: how scans or poses of others contradict its own; else empty.
         tried: own version, and name and version of the last failed alignment; see ``recovery`` for
             those of the last fused map.
+        searched_s, searches: time and number of its searches everywhere.
+        rest_s: least time after the last one before the next, seconds.
         drift: wall cells that changed, here and in the reference, since it was accepted.
     """
 
@@ -189,7 +182,9 @@ class Input:
     contradiction: str = ""
     jump: Jump | None = None
     tried: tuple[int, str, int] | None = None
-    pace: SearchPace = field(default_factory=SearchPace)
+    searched_s: float = -math.inf
+    searches: int = 0
+    rest_s: float = 0.0
     drift: int = 0
     _state: State = State.NEW
     # Wall cells that came or went so far; the layer that was accepted last, with which walls that

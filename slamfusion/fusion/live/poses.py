@@ -20,14 +20,24 @@ from __future__ import annotations
 
 import math
 from collections import OrderedDict
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from slamfusion.align.starts import StartPose
 from slamfusion.config import LiveConfig
-from slamfusion.geometry import Pose2, fit_motion, moved_poses, travelled, with_levers, wrap_angle
+from slamfusion.geometry import (
+    F64,
+    Pose2,
+    fit_motion,
+    moved_poses,
+    row_of,
+    travelled,
+    with_levers,
+    wrap_angle,
+    wrap_angles,
+)
 from slamfusion.trajectory import SAME_STAMP_S
 
 # Metres that two inputs drive together before they are linked.
@@ -42,6 +52,9 @@ BACK_S = 1.0
 # distance in metres on.
 LEAST_EQUAL, EQUAL_SHARE, DRIVEN_M = 10, 0.5, 0.5
 START_M, START_RAD = 0.5, 0.1
+# The covariance of the fused pose is of poses of this last time, seconds, and at least that of a
+# pose that all inputs agree on: half a cell of 0.05 m, metres and radians.
+SPREAD_S, LEAST_M, LEAST_RAD = 10.0, 0.025, 0.01
 
 
 @dataclass
@@ -181,16 +194,36 @@ class PoseWatch:
         equal = [key for key in ours if key in theirs]
         if len(equal) < max(LEAST_EQUAL, EQUAL_SHARE * min(len(ours), len(theirs))):
             return None
-        own, other = (
-            np.array([(p.x, p.y, p.yaw_rad) for p in map(poses.__getitem__, equal)])
-            for poses in (ours, theirs)
-        )
+        own, other = (_rows(poses, equal) for poses in (ours, theirs))
         if travelled(own)[-1] < DRIVEN_M:
             return None
         motion = fit_motion(with_levers(own), with_levers(other))
         apart_m = np.hypot(*(moved_poses(motion, own) - other)[:, :2].T)
         is_one = apart_m.max() <= LINK_SHARE * self.live.pose_apart_m
         return StartPose(motion, START_M, START_RAD) if is_one else None
+
+    def covariance(self, leader: str, others: Collection[str], stamp_s: float) -> F64:
+        """Return the covariance of the leader's pose in the fused frame, (3, 3) float64.
+
+        X and y in metres, yaw in radians: the mean square of the differences from the poses of
+        others at equal stamps. It counts whole, twice the variance of independent inputs, since the
+        inputs read the same scans. Without others, ``pose_apart_m`` and ``pose_apart_rad`` are the
+        deviations.
+        """
+        own, gaps = self._poses.get(leader, OrderedDict()), np.empty((0, 3))
+        recent = [key for key in own if abs(stamp_s - key * SAME_STAMP_S) <= SPREAD_S]
+        for name in {*others} & {*self._placed} - {leader} if leader in self._placed else ():
+            theirs = self._poses.get(name, OrderedDict())
+            keys = [key for key in recent if key in theirs]
+            here, there = (
+                moved_poses(self._placed[one], _rows(poses, keys))
+                for one, poses in ((leader, own), (name, theirs))
+            )
+            gaps = np.concatenate((gaps, there - here))
+        if not len(gaps):
+            return np.diag((self.live.pose_apart_m**2,) * 2 + (self.live.pose_apart_rad**2,))
+        gaps[:, 2] = wrap_angles(gaps[:, 2])
+        return np.asarray(gaps.T @ gaps / len(gaps) + np.diag((LEAST_M**2,) * 2 + (LEAST_RAD**2,)))
 
     def contradictions(self) -> dict[str, str]:
         """Return whose poses contradict those of others, by name, and why in one line."""
@@ -211,6 +244,11 @@ class PoseWatch:
                 out[name] = _reason(name, apart)
             left = {names: pair for names, pair in left.items() if not {*names} & {*out}}
         return out
+
+
+def _rows(poses: Mapping[int, Pose2], keys: Sequence[int]) -> F64:
+    """Return the poses of some stamps, (N, 3)."""
+    return np.array([row_of(poses[key]) for key in keys]).reshape(-1, 3)
 
 
 def _reason(name: str, apart: Mapping[tuple[str, str], _Pair]) -> str:

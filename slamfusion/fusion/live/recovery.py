@@ -202,12 +202,12 @@ class Anchor:
         own = ", ".join(one.name for one in rivals)
         problem = _doubt(inputs, Reason.DISPUTE, names=own)
         absent = [one for one in inputs if one not in rivals]
-        wanted = absent or [max(rivals, key=lambda one: one.pace.last_s)]
+        wanted = absent or [max(rivals, key=lambda one: one.searched_s)]
 
         def rival(one: Input) -> Input:
             others = [other for other in rivals if other is not one]
             # Twice on each: where it jumped there its next map must confirm it.
-            return others[one.pace.count // 2 % len(others)]
+            return others[one.searches // 2 % len(others)]
 
         partners = {one.name: rival(one) for one in wanted}
         chosen = self._search_one(wanted, lambda one: self._aligner.held(partners[one.name]), names)
@@ -228,7 +228,7 @@ class Anchor:
         able = [one for one in inputs if aligner.may_search(one)]
         jumped = [one for one in able if aligner.may_confirm(one)]
         waiting = [one for one in able if not _is_in_vain(one, names)]
-        chosen = min(jumped or waiting, key=lambda one: one.pace.last_s, default=None)
+        chosen = min(jumped or waiting, key=lambda one: one.searched_s, default=None)
         if chosen is None:
             return None
         where = held(chosen)

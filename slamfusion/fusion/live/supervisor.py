@@ -238,7 +238,7 @@ class InputSupervisor:
             return
         # The reference may share no ground with it where another input does.
         held = [reference] if had_vote else [reference, *others]
-        turn = one.pace.count % len(held)
+        turn = one.searches % len(held)
         aligner.search(one, aligner.held(held[turn]))
         if one.votes:
             return

@@ -9,7 +9,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from slamfusion.fusion.live.driving import OdomFrame, PoseSpread
+from slamfusion.fusion.live.driving import OdomFrame
 from slamfusion.geometry import F64, Pose2, interpolate_poses, wrap_angle
 from tests.slam.drives import true_poses
 
@@ -138,22 +138,3 @@ def test_odometry_that_starts_again_at_its_origin_does_not_move_the_robot() -> N
         moved = frame.move(0.1 + 0.1 * number, Pose2(), M_S, RAD_S)
         assert moved is not None
         assert tuple_of(moved.compose(Pose2())) == pytest.approx((1.0, 2.0, 0.5))
-
-
-def test_the_covariance_is_the_spread_of_the_voters_poses() -> None:
-    spread, noise = PoseSpread(), np.random.default_rng(3)
-    alone = spread.covariance(0.0, 1.0, 0.35)
-    assert np.diag(alone) == pytest.approx([1.0, 1.0, 0.1225])
-    deviations = np.array((0.1, 0.2, 0.03))
-    for number in range(300):
-        stamp_ns = number * 10**8
-        for name in "ba":  # the leader comes last
-            error = noise.normal(0.0, deviations) if name == "b" else np.zeros(3)
-            spread.hear("a", name, stamp_ns, Pose2(*(np.array((1.0, 2.0, 3.1)) + error).tolist()))
-        spread.hear("a", "c", stamp_ns + 5, Pose2(9.0, 9.0, 0.0))  # of no stamp of the leader's
-    found = np.sqrt(np.diag(spread.covariance(29.9, 1.0, 0.35)))
-    assert found == pytest.approx(np.hypot(deviations, (0.025, 0.025, 0.01)), rel=0.25)
-    # Differences of long ago say nothing of now, and those from another leader neither.
-    assert np.array_equal(spread.covariance(60.0, 1.0, 0.35), alone)
-    spread.hear("b", "b", 0, Pose2())
-    assert np.array_equal(spread.covariance(29.9, 1.0, 0.35), alone)

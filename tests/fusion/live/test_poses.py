@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -187,3 +188,23 @@ def test_what_is_farther_apart_is_never_sooner_forgiven(aways: list[float], more
         near.drive(STEP_S, b=(away, 0.0))
         far.drive(STEP_S, b=(away + more, 0.0))
         assert bool(near.wrong()) <= bool(far.wrong())
+
+
+def test_the_covariance_is_the_spread_of_the_voters_poses() -> None:
+    robot, noise = Robot("abc"), np.random.default_rng(3)
+    alone = robot.watch.covariance("a", "a", 100.0)
+    assert np.diag(alone) == pytest.approx(
+        (LIVE.pose_apart_m**2, LIVE.pose_apart_m**2, LIVE.pose_apart_rad**2)
+    )
+    deviations = np.array((0.1, 0.2, 0.03))
+    for number in range(300):
+        stamp_s = 100.0 + 0.03 * number
+        for name in "ba":  # the leader comes last
+            error = noise.normal(0.0, deviations) if name == "b" else np.zeros(3)
+            robot.tell(name, Pose2(*(np.array((1.0, 2.0, 3.1)) + error).tolist()), stamp_s)
+        robot.tell("c", Pose2(9.0, 9.0, 0.0), stamp_s)
+    found = np.sqrt(np.diag(robot.watch.covariance("a", "ab", 109.0)))
+    assert found == pytest.approx(np.hypot(deviations, (0.025, 0.025, 0.01)), rel=0.25)
+    assert robot.watch.covariance("a", "abc", 109.0)[0, 0] > 10.0, "another voter"
+    # Differences of long ago say nothing of now.
+    assert np.array_equal(robot.watch.covariance("a", "ab", 140.0), alone)
