@@ -252,7 +252,7 @@ class FusedFrames:
         for name in (self.leader, self._state.reference):
             if name in fresh:
                 return name
-        return max(fresh, key=lambda name: fresh[name].score, default="")
+        return max(fresh, key=lambda name: fresh[name].fit.score, default="")
 
     def _note(self, stamp_s: float) -> None:
         self._newest_s = stamp_s if self._newest_s is None else max(self._newest_s, stamp_s)

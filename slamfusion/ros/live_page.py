@@ -129,6 +129,6 @@ def _shown(name: str, line: Status, state: FusionState) -> dict[str, object]:
         "name": layer_name(name),
         "votes": record is not None and record.accepted,
         "reason": line.message,
-        "score": None if record is None else round(record.score, 4),
+        "score": None if record is None else round(record.fit.score, 4),
         "transform": None if transform is None else [transform.x, transform.y, transform.yaw_rad],
     }

@@ -106,11 +106,12 @@ class Player:
         if not any(record.accepted for record in now.inputs.values()):
             self.said.append(now.nothing_fused)
         for record in now.inputs.values():
+            fit, came = record.fit, record.messages
             place = "nowhere" if record.transform is None else _pose(record.transform)
             self.said.append(
                 f"{record.name} {'votes' if record.accepted else 'no vote'}: {record.reason}; "
-                f"{place}; score {record.score!r}, overlap {record.overlap!r}, {record.maps} maps, "
-                f"{record.rejected} rejected{', tracked' if record.is_tracked else ''}"
+                f"{place}; score {fit.score!r}, overlap {fit.overlap!r}, {came.maps} maps, "
+                f"{came.rejected} rejected{', tracked' if fit.is_tracked else ''}"
             )
 
     # -- events -----------------------------------------------------------------------------------

@@ -22,6 +22,8 @@ from websockets.sync.client import ClientConnection, connect
 from slamfusion.config import FusionNodeConfig
 from slamfusion.errors import ConfigError
 from slamfusion.fusion.live import LiveInput, State
+from slamfusion.fusion.live.inputs import Fit
+from slamfusion.fusion.live.mailbox import InputMessage
 from slamfusion.fusion.live.session import FusedMap, FusionState
 from slamfusion.geometry import Pose2
 from slamfusion.palette import FREE_RGB, UNKNOWN_RGB, WALL_RGB
@@ -71,7 +73,8 @@ def test_an_input_called_fused_comes_and_goes_beside_the_fused_map() -> None:
     grids = {name: noise(40, 50, seed=seed) for seed, name in enumerate(("fused", "input"))}
     source = SimpleNamespace(name="fused", pose=HeardPose(Pose2(1.0, 2.0, 0.0), None, 0.0, 0.0))
     place = Pose2(3.0, 0.0, 0.0)
-    record = LiveInput("fused", 0.0, 1.0, State.TRACKED, "fits", place, 0.7, 0.8, 1, 0, True, None)
+    came, fit = InputMessage(maps=1), Fit(0.7, 0.8, is_tracked=True)
+    record = LiveInput("fused", came, 0.0, State.TRACKED, "fits", place, fit, None)
     lines = [Status("fusion", Level.OK, "all"), Status("input fused", Level.OK, "fits")]
     with closing(live), socket(urls[0].rpartition(" ")[2]) as page:
         say(page, type="hello", token="")

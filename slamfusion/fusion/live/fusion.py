@@ -33,7 +33,7 @@ from slamfusion.config import LiveConfig, RunConfig
 from slamfusion.errors import SlamFusionError
 from slamfusion.fusion.inputs import odd_resolution
 from slamfusion.fusion.live.align import Aligner
-from slamfusion.fusion.live.inputs import Input, Reason, State
+from slamfusion.fusion.live.inputs import Fit, Input, Reason, State
 from slamfusion.fusion.live.limits import too_large, unusable
 from slamfusion.fusion.live.mailbox import Evidence, InputMessage, Mailbox
 from slamfusion.fusion.live.poses import PoseWatch
@@ -55,29 +55,22 @@ class LiveInput:
 
     Attributes:
         name: as given to ``put``.
-        age_s: time since its last message; infinite before the first.
-        rate_hz: messages a second, smoothed; 0 before the second.
+        messages: those that came; their ``grid`` is no result.
+        age_s: time since the last of them; infinite before the first.
         reason: why it is in that state, one line.
         transform: its map frame into the fused frame, metres; the last that was accepted.
-        score, overlap: of its last alignment, see ``Alignment``; 1 for the reference.
-        maps: messages that came, usable or not.
-        rejected: those among them that contain too little or cannot be read.
-        is_tracked: whether the last alignment started from the last transform.
+        fit: its last alignment; score and overlap are 1 for the reference.
         wall_agreement: share of its walls that agree with the other maps'; None: it does not vote,
             or the vote weighs no map.
     """
 
     name: str
+    messages: InputMessage
     age_s: float
-    rate_hz: float
     state: State
     reason: str
     transform: Pose2 | None
-    score: float
-    overlap: float
-    maps: int
-    rejected: int
-    is_tracked: bool
+    fit: Fit
     wall_agreement: float | None
 
     @property
@@ -386,8 +379,9 @@ class LiveFusion(Mailbox):
         counts = self.counts()
         for name, track in self._inputs.items():
             came = counts.get(name) or InputMessage()  # removed, and not yet noticed
-            is_reference = name == self._supervisor.reference and track.votes
-            reason = track.why
+            fit, reason = track.fit, track.why
+            if name == self._supervisor.reference and track.votes:
+                fit = replace(fit, score=1.0, overlap=1.0)
             if track.votes and name in self._layers.bent:
                 reason += f"; {self._layers.bent[name].words}"
                 reason += "; or the other map is" if len(self._layers.names) == 2 else ""
@@ -396,16 +390,12 @@ class LiveFusion(Mailbox):
             out.append(
                 LiveInput(
                     name,
+                    came,
                     now_s - came.received_s,
-                    came.rate_hz,
                     track.state,
                     reason,
                     track.transform,
-                    1.0 if is_reference else track.fit.score,
-                    1.0 if is_reference else track.fit.overlap,
-                    came.maps,
-                    came.rejected,
-                    track.fit.is_tracked,
+                    fit,
                     self._layers.wall_agreement.get(name),
                 )
             )

@@ -90,7 +90,7 @@ def test_maps_that_begin_anew_grow_into_the_frame_of_before(
     for name, grid in three().items():
         if name in names:
             assert_in_frame(drive, name, grid, old[name])
-            assert drive.input(name).score > 0.5
+            assert drive.input(name).fit.score > 0.5
     assert drive.live._supervisor.anchor.held is None, "outgrown"
 
 

@@ -143,7 +143,7 @@ def test_implausible_numbers_are_refused_by_name_and_the_others_go_on(
     tracemalloc.stop()
     assert words in drive.input("b").reason
     assert drive.accepted() == "ac"
-    assert drive.input("b").rejected == 1
+    assert drive.input("b").messages.rejected == 1
     assert update.fused is not None
     assert drive.live._layers.box == box
     assert peak < 20 * MEGABYTE

@@ -65,7 +65,7 @@ def test_maps_grow_and_no_wall_moves(
         assert record.transform is not None
         found = record.transform.compose(FRAMES[record.name])
         reference = fusion.live.inputs(fusion.now_s)
-        base = next(r for r in reference if r.score == 1.0)
+        base = next(r for r in reference if r.fit.score == 1.0)
         assert base.transform is not None
         wanted = base.transform.compose(FRAMES[base.name])
         assert np.hypot(found.x - wanted.x, found.y - wanted.y) < 0.15

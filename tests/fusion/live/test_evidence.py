@@ -60,7 +60,7 @@ def test_the_reference_hands_over_when_the_scans_contradict_it(device: ComputeDe
     tell(drive, {"a": WHY})
     assert drive.accepted() == "bc"
     assert drive.live.lattice == lattice
-    assert drive.input("b").score == 1.0 or drive.input("c").score == 1.0
+    assert drive.input("b").fit.score == 1.0 or drive.input("c").fit.score == 1.0
 
 
 def test_scans_decide_and_not_how_far_poses_are_apart(device: ComputeDevice) -> None:

@@ -161,7 +161,7 @@ def test_an_input_that_is_lost_and_returns_leaves_every_wall_where_it_was(
     update = drive.step(touched(three()[gone], 2))
     assert update.inputs[0].name == "a"
     assert drive.accepted() == "abc"
-    assert drive.input(gone).is_tracked
+    assert drive.input(gone).fit.is_tracked
     assert_same_lattice(first, drive.fused)
     assert share_standing(first, drive.fused) > 0.97
     for record in drive.live.inputs(drive.now_s):
@@ -189,7 +189,7 @@ def test_a_map_that_says_too_little_is_named_and_the_others_go_on(
     assert first is not None
     update = drive.step(bad.with_name(name))
     assert words in drive.input(name).reason
-    assert drive.input(name).rejected == 1
+    assert drive.input(name).messages.rejected == 1
     assert drive.accepted() == "abc".replace(name, "")
     assert update.fused is not None
     assert update.reference != name
@@ -320,10 +320,10 @@ def test_health_counts_what_came(device: ComputeDevice) -> None:
     for number in range(4):
         drive.step(touched(three()["b"], number))
     record = drive.input("b")
-    assert record.maps == 5
-    assert record.rate_hz == pytest.approx(1.0)
+    assert record.messages.maps == 5
+    assert record.messages.rate_hz == pytest.approx(1.0)
     assert record.age_s == 0.0
     assert drive.input("a").age_s == 4.0
-    assert 0.3 < record.score <= 1.0
-    assert 0.3 < record.overlap <= 1.0
-    assert drive.input("a").score == 1.0
+    assert 0.3 < record.fit.score <= 1.0
+    assert 0.3 < record.fit.overlap <= 1.0
+    assert drive.input("a").fit.score == 1.0

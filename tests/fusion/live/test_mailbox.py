@@ -69,7 +69,7 @@ def test_what_cannot_be_used_is_counted_and_says_why(device: ComputeDevice) -> N
     assert "is it noise?" in inputs[0].reason
     assert "coarser" in inputs[1].reason
     assert inputs[2].reason == "cannot be read"
-    assert [(item.maps, item.rejected) for item in inputs] == [(2, 1)] * 3
+    assert [(item.messages.maps, item.messages.rejected) for item in inputs] == [(2, 1)] * 3
 
 
 def test_an_input_is_stale_only_against_another_and_a_saved_one_never(

@@ -64,8 +64,8 @@ def test_two_robots_that_begin_together_and_part_stay_fused(device: ComputeDevic
         a, b = drawn(3.0, gone_m)
         searches += drive.step(a, b).is_full_search
         assert_right(drive, b, motion)
-    assert drive.input("b").score < 0.7 * 0.6, "a third in common: far below the first score"
-    assert drive.input("b").is_tracked
+    assert drive.input("b").fit.score < 0.7 * 0.6, "a third in common: far below the first score"
+    assert drive.input("b").fit.is_tracked
     assert searches == 1, "nothing has moved, so nothing is searched again"
 
 

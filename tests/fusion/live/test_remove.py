@@ -65,7 +65,7 @@ def test_who_comes_back_under_its_name_is_a_new_input(device: ComputeDevice) -> 
     assert update.is_full_search
     assert drive.accepted() == "acb"
     record = drive.input("b")
-    assert record.maps == 1
+    assert record.messages.maps == 1
     assert place is not None
     assert record.transform is not None
     there = record.transform.compose(AWAY)

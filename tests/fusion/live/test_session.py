@@ -117,7 +117,7 @@ def test_what_cannot_be_read_is_counted_and_named(device: ComputeDevice) -> None
     desk.live.put("b", fail, 101.0)
     session.turn()
     record = session.snapshot.inputs["b"]
-    assert (record.accepted, record.reason, record.rejected) == (False, "no cells", 1)
+    assert (record.accepted, record.reason, record.messages.rejected) == (False, "no cells", 1)
     assert desk.said[-1] == ("b", False)
     assert session.snapshot.votes == 4
 
@@ -192,7 +192,7 @@ def test_who_is_removed_is_told_at_once_and_its_name_may_come_again(device: Comp
     desk.put(three()["b"])
     later(session, desk)
     assert list(session.snapshot.inputs) == ["a", "c", "b"]
-    assert session.snapshot.inputs["b"].maps == 1
+    assert session.snapshot.inputs["b"].messages.maps == 1
     assert session.snapshot.searches == searches + 1
 
     votes = session.snapshot.votes

@@ -42,7 +42,7 @@ def test_the_first_fusion_is_tried_for_new_maps_and_not_too_often(device: Comput
     assert update.is_full_search
     assert update.fused is not None
     assert drive.accepted() == "ab"
-    assert drive.input("stranger").score > 0.0
+    assert drive.input("stranger").fit.score > 0.0
     assert drive.input("stranger").reason.startswith("to a: ")
 
 
@@ -124,8 +124,8 @@ def test_without_any_input_nothing_is_published_and_the_frame_waits(device: Comp
     assert drive.accepted() == "bc"
     assert back.reference == max("bc", key=walls)
     assert not back.is_full_search
-    assert drive.input("b").is_tracked
-    assert drive.input("c").is_tracked
+    assert drive.input("b").fit.is_tracked
+    assert drive.input("c").fit.is_tracked
 
 
 def test_an_input_that_comes_back_elsewhere_alone_is_searched_on_the_last_map(
