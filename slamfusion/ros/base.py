@@ -234,6 +234,9 @@ class Worker(Generic[T]):
         return not self._thread.is_alive()
 
     def _run(self) -> None:
+        with contextlib.suppress(OSError):  # for ``top -H``
+            task = Path(f"/proc/self/task/{threading.get_native_id()}/comm")
+            task.write_text(self._thread.name)
         while True:
             with self._changed:
                 self._is_busy = False

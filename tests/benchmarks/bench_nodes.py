@@ -2,13 +2,15 @@
 
     python -m tests.benchmarks.bench_nodes --minutes 10
 
-A simulated laser of 360 beams at 10 Hz drives through an office; the player sends at rate 1, each
-node is a process, all over DDS. Shown for each producer: the error of the poses that it told (root
-mean square of the places, and the 95th percentile) against that of the same scans fed one by one,
-scans dropped, the longest queue, the latency over scans (median and 95th percentile of the last
-300, at the end and at its worst), what it keeps in memory a quarter of the way in and at the end,
-and its processor time a second. For the fusion: the latency from a map's arrival to the fused
-map's publication. A busy machine shows in all of it: the load is printed too.
+A simulated laser of 360 beams at 10 Hz (or ``--log``, a recorded one) drives through an office; the
+player sends at rate 1, each node is a process, all over DDS. Shown for each node: wall and
+processor time until it is ready; its memory then, a quarter of the way in and at the end; its
+processor time a second while it runs, also by thread. For each producer also: the error of the
+poses that it told (root mean square of the places, and the 95th percentile) against that of the
+same scans fed one by one, scans dropped, the longest queue, and the latency over scans (median and
+95th percentile of the last 300, at the end and at its worst). For the fusion: the latency from a
+map's arrival to the fused map's publication. A busy machine shows in all of it: the load is printed
+too.
 """
 
 from __future__ import annotations
@@ -16,8 +18,10 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import os
+import sys
 import tempfile
 import time
+from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -32,6 +36,7 @@ from slamfusion.io import open_log
 from slamfusion.io.carmen import write_carmen
 from slamfusion.io.log import LogScan
 from slamfusion.ros import messages
+from slamfusion.ros.base import STARTED_VARIABLE
 from slamfusion.sim.courses import named_course, with_overrides
 from slamfusion.sim.simulate import Recording, simulate
 from slamfusion.slam.registry import make_producer
@@ -43,6 +48,8 @@ from tests.ros.live import Observer, Process, Processes, free_domain, ros_enviro
 PRODUCERS = ("tinyslam", "gmapping", "graph")
 RATE_HZ = 10.0
 SAMPLE_S = 5.0
+# Threads with a smaller share, percent of a core, are left out.
+LEAST = 0.3
 
 
 def record(minutes: float) -> Recording:
@@ -65,24 +72,69 @@ class Watch:
 
     process: Process
     status: str
+    ready: str
     resident_mb: list[float] = field(default_factory=list)
     waiting: list[int] = field(default_factory=list)
     p95_ms: list[float] = field(default_factory=list)
     figures: dict[str, str] = field(default_factory=dict)
-    cpu_s: float = 0.0
+    began_s: float = 0.0
+    looked_s: float = 0.0
+    began_cpu_s: dict[str, float] = field(default_factory=dict)
+    cpu_s: dict[str, float] = field(default_factory=dict)
+
+    def begin(self) -> None:
+        """Count processor time from now on."""
+        self.began_s, self.began_cpu_s = time.monotonic(), cpu_s(self.process.process.pid)
+
+    def shares(self) -> dict[str, float]:
+        """Return the processor time of each thread, percent of a core, the largest first."""
+        took_s = self.looked_s - self.began_s
+        shares = {
+            name: 100.0 * (spent_s - self.began_cpu_s.get(name, 0.0)) / took_s
+            for name, spent_s in self.cpu_s.items()
+        }
+        return dict(sorted(shares.items(), key=lambda item: -item[1]))
 
     def look(self, observer: Observer) -> None:
-        """Note memory, processor time and what the diagnostics say."""
+        """Note memory, processor time by thread and what the diagnostics say."""
         number = self.process.process.pid
-        pages = Path(f"/proc/{number}/statm").read_text().split()[1]
-        self.resident_mb.append(int(pages) * os.sysconf("SC_PAGE_SIZE") / 1e6)
-        ticks = Path(f"/proc/{number}/stat").read_text().rpartition(")")[2].split()[11:13]
-        self.cpu_s = sum(map(int, ticks)) / os.sysconf("SC_CLK_TCK")
+        self.resident_mb.append(resident_mb(number))
+        self.looked_s, self.cpu_s = time.monotonic(), cpu_s(number)
         told = observer.statuses().get(self.status)
         if told is not None:
             self.figures = values(told)
             self.waiting.append(int(self.figures.get("scans waiting", 0)))
             self.p95_ms.append(float(self.figures["latency p95 [ms]"]))
+
+
+def resident_mb(number: int) -> float:
+    """Return the resident memory of a process."""
+    pages = Path(f"/proc/{number}/statm").read_text().split()[1]
+    return int(pages) * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
+def cpu_s(number: int) -> dict[str, float]:
+    """Return the processor time of a process by the names of its threads, seconds."""
+    found: Counter[str] = Counter()
+    for task in Path(f"/proc/{number}/task").iterdir():
+        name, _, rest = (task / "stat").read_text().partition("(")[2].rpartition(")")
+        own = "executor" if task.name == str(number) else name
+        found[own] += sum(map(int, rest.split()[11:13])) / os.sysconf("SC_CLK_TCK")
+    return dict(found)
+
+
+def started(run: Processes, kind: str, folder: Path) -> Watch:
+    """Start a node, alone, and wait until it is ready."""
+    mark, began_s = folder / f"{kind}-started", time.monotonic()
+    # Not forked from a process that has loaded what it needs.
+    command = [sys.executable, "-m", "slamfusion", "node", kind]
+    process = run.start(kind, command, {STARTED_VARIABLE: str(mark)})
+    while not mark.exists():
+        time.sleep(0.01)
+    number = process.process.pid
+    took = f"{time.monotonic() - began_s:.1f} / {sum(cpu_s(number).values()):.1f}"
+    status = "fusion: fusion" if kind == "fusion" else f"{kind}: slam"
+    return Watch(process, status, took, [resident_mb(number)])
 
 
 def error_cm(poses: Trajectory, truth: Trajectory) -> str:
@@ -118,13 +170,13 @@ def play(log: Path, folder: Path, seconds: float) -> tuple[dict[str, Watch], dic
         Observer(domain) as observer,
     ):
         poses = {kind: observer.collect(PoseStamped, f"{kind}/pose") for kind in PRODUCERS}
-        watches = {"fusion": Watch(run.node("fusion"), "fusion: fusion")}
-        for kind in PRODUCERS:
-            watches[kind] = Watch(run.node(kind), f"{kind}: slam")
+        watches = {kind: started(run, kind, folder) for kind in ("fusion", *PRODUCERS)}
         player = run.node("player", file=str(log), wait_for=list(PRODUCERS))
         observer.wait(lambda: all(poses.values()), 120.0, "the first poses")
+        for watch in watches.values():
+            watch.begin()
         began_s = next_s = time.monotonic()
-        while player.is_running and time.monotonic() - began_s < seconds + 60.0:
+        while player.is_running and time.monotonic() - began_s < seconds:
             next_s += SAMPLE_S
             observer.listen(next_s - time.monotonic())
             for watch in watches.values():
@@ -140,13 +192,14 @@ def table_of(watches: dict[str, Watch], online: dict[str, str], alone: dict[str,
     table = Table(title=f"{os.cpu_count()} cores, load {os.getloadavg()[1]:.1f} over five minutes")
     columns = (
         "node", "error cm: live", "offline", "fed", "dropped", "longest queue",
-        "latency ms: median", "p95", "worst p95", "MB: a quarter in", "at the end", "CPU share",
+        "latency ms: median", "p95", "worst p95", "ready s: wall / CPU", "MB then", "a quarter in",
+        "at the end", "CPU %", "its threads",
     )  # fmt: skip
     for column in columns:
         table.add_column(column)
     for name, watch in watches.items():
         told = watch.figures
-        mb = watch.resident_mb
+        mb, shares = watch.resident_mb, watch.shares()
         table.add_row(
             name,
             online.get(name, "-"),
@@ -157,10 +210,22 @@ def table_of(watches: dict[str, Watch], online: dict[str, str], alone: dict[str,
             told["latency median [ms]"],
             told["latency p95 [ms]"],
             f"{max(watch.p95_ms):.4g}",
+            watch.ready,
+            f"{mb[0]:.0f}",
             f"{mb[len(mb) // 4]:.0f}",
             f"{mb[-1]:.0f}",
-            f"{watch.cpu_s / (SAMPLE_S * len(mb)):.2f}",
+            f"{sum(shares.values()):.1f}",
+            ", ".join(f"{part} {share:.1f}" for part, share in shares.items() if share >= LEAST),
         )
+    everything = [sum(watch.resident_mb[at] for watch in watches.values()) for at in (0, -1)]
+    cpu = sum(sum(watch.shares().values()) for watch in watches.values())
+    cells = [""] * len(columns)
+    cells[0], cells[-5], cells[-3], cells[-2] = (
+        "all",
+        *(f"{n:.0f}" for n in everything),
+        f"{cpu:.1f}",
+    )
+    table.add_row(*cells)
     return table
 
 
@@ -168,20 +233,26 @@ def main() -> None:
     """Record, play, feed the same offline, and print."""
     parser = argparse.ArgumentParser(description="The nodes at rate 1 beside the offline run.")
     parser.add_argument("--minutes", type=float, default=10.0)
+    parser.add_argument("--log", type=Path, help="a recorded one instead; without errors")
     add_record_option(parser)
     options = parser.parse_args()
     minutes = options.minutes
+    if options.log is not None:
+        with tempfile.TemporaryDirectory() as folder:
+            watches, _ = play(options.log, Path(folder), 60.0 * minutes)
+        console_for("nodes", options.record, width=200).print(table_of(watches, {}, {}))
+        return
     recording = record(minutes)
     scans = recording.scans[: int(60.0 * minutes * RATE_HZ)]
     with tempfile.TemporaryDirectory() as folder:
         log = Path(folder) / "office.log"
         write_carmen(log, scans)
-        watches, told = play(log, Path(folder), 60.0 * minutes)
+        watches, told = play(log, Path(folder), 60.0 * minutes + 60.0)
         sent = list(as_sent(open_log(log)))
     truth = recording.truth
     online = {kind: error_cm(path, truth) for kind, path in told.items()}
     alone = {kind: error_cm(offline(kind, sent), truth) for kind in PRODUCERS}
-    console_for("nodes", options.record, width=160).print(table_of(watches, online, alone))
+    console_for("nodes", options.record, width=200).print(table_of(watches, online, alone))
 
 
 if __name__ == "__main__":
