@@ -138,21 +138,22 @@ def command(
         )  # fmt: skip
     given = {"maps": maps, "truths": truths}
     found.write(report_dir, [] if image_path is None else _image_files(image_path, given))
-    tell_unaligned(found.evaluations)
-    rows, document = found.rows(), found.document()
+    evaluations = [item.evaluation for item in found.maps]
+    tell_unaligned(evaluations)
+    rows = found.rows()
     save_results(
         results_path,
-        document,
+        found,
         [*rows, *found.distance_rows()],
         lambda: _inputs(paths, found.truths, distances_path),
     )
     if as_json:
-        print_json(document)
+        print_json(found)
         return 0
     if len(truths) > 1:
         print_items(rows, "map", ("error", "wall_f1"))
-    elif found.evaluations:
-        print_evaluations(found.evaluations)
+    elif evaluations:
+        print_evaluations(evaluations)
         print_repetitions(rows, "map")
     for comparison in found.distances:
         _print_distances(comparison)
@@ -160,7 +161,7 @@ def command(
 
 
 def _compare(grids: Sequence[OccupancyGrid], config: RunConfig, as_json: bool) -> int:
-    from slamfusion.jobs.evaluate import EvaluateDocument, agreement_items, compare_maps  # noqa: PLC0415
+    from slamfusion.jobs.evaluate import EvaluatedMaps, agreement_items, compare_maps  # noqa: PLC0415
     from slamfusion.jobs.records import Settings  # noqa: PLC0415
 
     device = device_for(config)
@@ -169,7 +170,7 @@ def _compare(grids: Sequence[OccupancyGrid], config: RunConfig, as_json: bool) -
     tell_left_out(result)
     items = agreement_items(result)
     if as_json:
-        document = EvaluateDocument(
+        document = EvaluatedMaps(
             agreement=items, device=device.name, seed=config.seed, settings=Settings(config)
         )
         print_json(document)

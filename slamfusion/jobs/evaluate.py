@@ -33,51 +33,78 @@ from slamfusion.jobs.inputs import (
     load_truth,
 )
 from slamfusion.jobs.plan import align_plan_with_all
-from slamfusion.jobs.records import Circumstances, Evaluation, Settings, Summaries
+from slamfusion.jobs.records import Evaluation, Settings, Summaries
 from slamfusion.json_values import FLAT
 
 _LOG = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class EvaluateDocument:
-    """``slamfusion evaluate``."""
-
-    maps: Sequence[Evaluation] = ()
-    """The maps against the truth; empty without --truth."""
-    distances: Sequence[DistanceComparison] = ()
-    """The maps against measured distances; empty without --distances."""
-    agreement: Sequence[FusedInput] = ()
-    """The maps against each other; empty with --truth or --distances."""
-    truth: Path | None = None
-    """The true map's file; null without --truth."""
-    device: str | None
-    """What computed the alignments, in words; null where none was."""
-    seed: int
-    """Seed of every random number."""
-    settings: Settings = field(metadata=FLAT)
-
-
 @dataclass(frozen=True, eq=False)
-class CaseEvaluation:
-    """One of several maps, against one of several truths."""
+class EvaluatedMap:
+    """A map against the truth of its case."""
 
     evaluation: Evaluation = field(metadata=FLAT)
     placed: Placed = field(metadata=FLAT)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class CasesEvaluationDocument:
-    """``slamfusion evaluate`` with several truths."""
+class EvaluatedMaps:
+    """``slamfusion evaluate``: maps against the truths of their cases, distances, or each other."""
 
-    maps: Sequence[CaseEvaluation]
-    """The maps in the order given, each against the truth of its case."""
-    summaries: Summaries = field(metadata=FLAT)
-    distances: Sequence[DistanceComparison]
+    files: Sequence[CaseFile] = field(default=(), repr=False)
+    """The maps' files, as they were given."""
+    maps: Sequence[EvaluatedMap] = ()
+    """The maps in the order given, each against the truth of its case; empty without --truth."""
+    summaries: Summaries | None = field(default=None, metadata=FLAT)
+    distances: Sequence[DistanceComparison] = ()
     """The maps against measured distances; empty without --distances."""
-    truths: Mapping[str, Path]
+    agreement: Sequence[FusedInput] = ()
+    """The maps against each other; empty with --truth or --distances."""
+    truth: Path | None = None
+    """The true map's file; null without --truth and with several."""
+    truths: Mapping[str, Path] = field(default_factory=dict)
     """The true maps' files, by case."""
-    circumstances: Circumstances = field(metadata=FLAT)
+    device: str | None
+    """What computed the alignments, in words; null where none was."""
+    seed: int
+    """Seed of every random number."""
+    settings: Settings = field(metadata=FLAT)
+
+    def rows(self) -> list[Row]:
+        """Return the figures against the truths as rows of a table of results."""
+        return [
+            row
+            for item in self.maps
+            for row in result_rows(*item.placed.keys, map_figures(item.evaluation))
+        ]
+
+    def distance_rows(self) -> list[Row]:
+        """Return the figures against measured distances, a case of their own, as rows."""
+        if not self.distances:
+            return []
+        files = [CaseFile(item.path) for item in self.files]
+        pairs = zip(place_files(["measured distances"], files), self.distances, strict=True)
+        return [
+            row
+            for item, found in pairs
+            for row in result_rows(
+                *item.keys, {"distance_error_mean_m": found.mean_absolute_error_m}
+            )
+        ]
+
+    def write(self, report: Path | None, images: Sequence[Path]) -> None:
+        """Write reports and pictures; of several cases a report each. See ``write_evaluation``."""
+        with AtomicFiles():
+            for case in self.truths:
+                own = [row for row, item in enumerate(self.maps) if item.placed.case == case]
+                if own:
+                    write_evaluation(
+                        [self.maps[row].evaluation for row in own],
+                        self.settings.config,
+                        device=self.device or "",
+                        report=report / case if report and len(self.truths) > 1 else report,
+                        images=[images[row] for row in own] if images else [],
+                    )
 
 
 def evaluate_maps(
@@ -188,80 +215,6 @@ def measure_distances(
     )
 
 
-@dataclass(frozen=True, eq=False)
-class EvaluatedCases:
-    """Maps, each compared with the truth of its case, or with measured distances alone.
-
-    Attributes:
-        maps: the files, as they were given.
-        truths: the true maps' files, by case; empty: the maps were not compared with a truth.
-        placed, evaluations: of each map, if there are truths.
-        device: what computed the alignments; None where none was.
-    """
-
-    maps: tuple[CaseFile, ...]
-    truths: Mapping[str, Path]
-    placed: Sequence[Placed]
-    evaluations: Sequence[Evaluation]
-    distances: Sequence[DistanceComparison]
-    config: RunConfig
-    device: str | None
-
-    def rows(self) -> list[Row]:
-        """Return the figures against the truths as rows of a table of results."""
-        pairs = zip(self.placed, self.evaluations, strict=True)
-        return [row for item, own in pairs for row in result_rows(*item.keys, map_figures(own))]
-
-    def distance_rows(self) -> list[Row]:
-        """Return the figures against measured distances, a case of their own, as rows."""
-        if not self.distances:
-            return []
-        files = [CaseFile(item.path) for item in self.maps]
-        pairs = zip(place_files(["measured distances"], files), self.distances, strict=True)
-        return [
-            row
-            for item, found in pairs
-            for row in result_rows(
-                *item.keys, {"distance_error_mean_m": found.mean_absolute_error_m}
-            )
-        ]
-
-    def document(self) -> EvaluateDocument | CasesEvaluationDocument:
-        """Return what ``slamfusion evaluate`` prints as JSON."""
-        if len(self.truths) < 2:
-            return EvaluateDocument(
-                maps=self.evaluations,
-                distances=self.distances,
-                truth=next(iter(self.truths.values()), None),
-                device=self.device,
-                seed=self.config.seed,
-                settings=Settings(self.config),
-            )
-        from slamfusion.jobs.results import summaries  # noqa: PLC0415  (pandas is an extra)
-
-        return CasesEvaluationDocument(
-            maps=[*map(CaseEvaluation, self.evaluations, self.placed)],
-            summaries=summaries(self.rows()),
-            distances=self.distances,
-            truths=self.truths,
-            circumstances=Circumstances(self.config, self.device or ""),
-        )
-
-    def write(self, report: Path | None, images: Sequence[Path]) -> None:
-        """Write reports and pictures; of several cases a report each. See ``write_evaluation``."""
-        with AtomicFiles():
-            for case in self.truths if self.placed else ():
-                own = [row for row, item in enumerate(self.placed) if item.case == case]
-                if own:
-                    write_evaluation(
-                        [self.evaluations[row] for row in own],
-                        self.config,
-                        device=self.device or "",
-                        report=report / case if report and len(self.truths) > 1 else report,
-                        images=[images[row] for row in own] if images else [],
-                    )
-
-
 def evaluate_cases(
     maps: tuple[CaseFile, ...],
     truths: Sequence[CaseFile],
@@ -273,7 +226,7 @@ def evaluate_cases(
     resolution: float | None = None,
     progress: Progress | None = None,
     warn: Warn = _LOG.warning,
-) -> EvaluatedCases:
+) -> EvaluatedMaps:
     """Compare maps with the truths of their cases and with measured distances.
 
     Raises:
@@ -304,15 +257,21 @@ def evaluate_cases(
             progress=progress,
         )
         found.update(zip(rows, evaluations, strict=True))
-    return EvaluatedCases(
-        maps,
-        {case: item.path for case, item in zip(cases, truths, strict=True)},
-        placed,
-        [found[row] for row in sorted(found)],
-        () if distances is None else measure_distances(grids, distances, config),
-        config,
-        None if device is None else device.name,
+    result = EvaluatedMaps(
+        files=maps,
+        maps=[EvaluatedMap(found[row], own) for row, own in enumerate(placed)],
+        distances=() if distances is None else measure_distances(grids, distances, config),
+        truth=truths[0].path if len(truths) == 1 else None,
+        truths={case: item.path for case, item in zip(cases, truths, strict=True)},
+        device=None if device is None else device.name,
+        seed=config.seed,
+        settings=Settings(config),
     )
+    if len(cases) < 2:
+        return result
+    from slamfusion.jobs.results import summaries  # noqa: PLC0415  (pandas is an extra)
+
+    return replace(result, summaries=summaries(result.rows()))
 
 
 def write_evaluation(

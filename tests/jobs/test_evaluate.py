@@ -12,9 +12,10 @@ from slamfusion.errors import MapFileError
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OCCUPIED, OccupancyGrid
 from slamfusion.io import save_map
-from slamfusion.jobs.cases import CaseFile
+from slamfusion.jobs.cases import CaseFile, Placed
 from slamfusion.jobs.evaluate import (
-    EvaluateDocument,
+    EvaluatedMap,
+    EvaluatedMaps,
     agreement_items,
     compare_maps,
     difference_images,
@@ -47,8 +48,12 @@ def test_maps_are_measured_where_they_lie_or_aligned(tmp_path: Path) -> None:
     images = difference_images(tmp_path / "image.png", [aligned.name, itself.name])
     write_evaluation([aligned, itself], CONFIG, report=tmp_path / "report", images=images)
     assert {"report/report.html", "image_moving.png", "image_building 3.png"} <= files(tmp_path)
-    document = EvaluateDocument(
-        maps=[aligned], truth=Path("t.yaml"), device="numpy", seed=0, settings=Settings(CONFIG)
+    document = EvaluatedMaps(
+        maps=[EvaluatedMap(aligned, Placed("t", "moving", Path()))],
+        truth=Path("t.yaml"),
+        device="numpy",
+        seed=0,
+        settings=Settings(CONFIG),
     )
     check_document(plain(document), "evaluate")
 
@@ -109,5 +114,5 @@ def test_without_a_truth_maps_are_compared_with_each_other() -> None:
     for name in ("a", grid.name):
         assert found[name].bent is None
         assert found[name].weight > 0.8
-    document = EvaluateDocument(agreement=items, device="numpy", seed=0, settings=Settings(CONFIG))
+    document = EvaluatedMaps(agreement=items, device="numpy", seed=0, settings=Settings(CONFIG))
     check_document(plain(document), "evaluate")

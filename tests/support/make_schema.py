@@ -58,7 +58,7 @@ DOCUMENTS: dict[str, tuple[type, ...]] = {
     "run": (run_files.LogRun, run_many.RunsDocument),
     "fuse": (fuse_documents.FuseDocument,),
     "align": (records.AlignDocument,),
-    "evaluate": (evaluate.EvaluateDocument, evaluate.CasesEvaluationDocument),
+    "evaluate": (evaluate.EvaluatedMaps,),
     "simulate": (simulate.SimulatedDrive,),
     "experiment cell-models": (ExperimentDocument,),
     "experiment occupancy-estimator": (ExperimentDocument,),
