@@ -11,6 +11,9 @@
 #include "common.h"
 #include "tiles.h"
 
+/* The last item of a work-group of climb_maps that tries a step. */
+#define CORNERS 14
+
 /* Value between the centres of four cells at (x, y), bilinear in sixteenths; (col, row) is a's. */
 INLINE int blended(
     const int a, const int b, const int c, const int d, const float x, const float y,
@@ -271,9 +274,10 @@ __kernel __attribute__((reqd_work_group_size(CLIMBERS, 1, 1))) void climb_maps(
     __global const float *hypotheses, __global const float *starts, __global const float *sizes,
     const int size_count, const int tries, const float scale, __global float *found) {
   const int item = get_local_id(0), group = get_group_id(0);
-  /* Base three: item 0 stays; 1 to 6 follow an axis, 7 to 14 a diagonal of the cube, 15 stays. */
+  /* Item 0 stays, where the value is known after the first try; 1 to 6 follow an axis, 7 to CORNERS a
+   * diagonal of the cube, and the last one has no work. */
   const int axis = (item - 1) >> 1, sign = (item & 1) ? 1 : -1, corner = item - 7;
-  const int is_axis = item >= 1 && item <= 6, is_corner = item >= 7 && item <= 14;
+  const int is_axis = item >= 1 && item <= 6, is_corner = item >= 7 && item <= CORNERS;
   const int along_x = is_axis ? (axis == 0 ? sign : 0) : is_corner ? ((corner & 1) ? 1 : -1) : 0;
   const int along_y = is_axis ? (axis == 1 ? sign : 0) : is_corner ? ((corner & 2) ? 1 : -1) : 0;
   const int turn = is_axis ? (axis == 2 ? sign : 0) : is_corner ? ((corner & 4) ? 1 : -1) : 0;
@@ -299,8 +303,12 @@ __kernel __attribute__((reqd_work_group_size(CLIMBERS, 1, 1))) void climb_maps(
     const float cos = best[3] * dcos - best[4] * dsin;
     const float sin = best[4] * dcos + best[3] * dsin;
     const float4 pose = (float4)(x, y, cos, sin);
-    const int sum = smooth_sum(field, own, width, height, points, count, pose);
-    values[item] = (float)sum * scale - pose_loss(hypothesis, 1, x, y, yaw);
+    if (item == 0 && round > 0) {
+      values[item] = best[START_FLOATS];
+    } else if (item <= CORNERS) {
+      const int sum = smooth_sum(field, own, width, height, points, count, pose);
+      values[item] = (float)sum * scale - pose_loss(hypothesis, 1, x, y, yaw);
+    }
     tried[item][0] = x;
     tried[item][1] = y;
     tried[item][2] = yaw;
@@ -309,7 +317,7 @@ __kernel __attribute__((reqd_work_group_size(CLIMBERS, 1, 1))) void climb_maps(
     barrier(CLK_LOCAL_MEM_FENCE);
     if (item == 0) {
       int winner = 0;
-      for (int k = 1; k < CLIMBERS; k++) {
+      for (int k = 1; k <= CORNERS; k++) {
         winner = values[k] > values[winner] ? k : winner;
       }
       for (int k = 0; k < START_FLOATS; k++) {

@@ -101,6 +101,8 @@ class KernelProgram:
 # PoCL compiles a kernel for every new work-group size, and chooses slow sizes by itself: one fixed
 # size for each number of dimensions. A group of one dimension is a round of a climb.
 LOCAL_SIZES = {1: (CLIMBERS,), 2: (16, 4), 3: (1, 4, 1)}
+# By how much an array that is copied to more memory may grow before the next copy.
+GROWTH = 1.5
 
 
 @dataclass(frozen=True)
@@ -230,6 +232,24 @@ class OpenCLDevice(ComputeDevice):
         """Copy an array over the first elements of one that is as long or longer."""
         size = source.size * source.dtype.itemsize
         cl.enqueue_copy(self.queue, target.buffer, self._buffer(source), byte_count=size)
+
+    def extended(
+        self, array: DeviceArray[Any], count: int, fill: int | None, room: int
+    ) -> OpenCLArray[Any]:
+        """Return an array with ``count`` rows: on the same memory, or copied to more of it.
+
+        New memory has ``room`` rows at the least, or none to spare if that is 0; without ``fill``
+        the new rows are undefined.
+        """
+        buffer = self._buffer(array)
+        if count * math.prod(array.shape[1:]) * array.dtype.itemsize > buffer.size:
+            rows = max(room, int(GROWTH * count)) if room else count
+            grown = self.empty((rows, *array.shape[1:]), array.dtype)
+            self.copy(array, grown)
+            if fill is not None:
+                self.fill(grown, fill, first=array.size)
+            buffer = grown.buffer
+        return OpenCLArray(buffer, (count, *array.shape[1:]), array.dtype)
 
     def copy_rows(self, source: DeviceArray[Any], target: OpenCLArray[Any]) -> None:
         """Copy the first columns of an array into one of another width, as many as both have."""

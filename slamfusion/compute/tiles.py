@@ -61,14 +61,19 @@ def tile_places(pages: I32, maps: I64 | int, row: I64, col: I64) -> tuple[I64, I
 class TileDevice(ArrayDevice):
     """A device that keeps pools of tiles."""
 
-    def extend(self, pool: DeviceArray[Scalar], count: int, fill: int) -> DeviceArray[Scalar]:
-        """Return a copy of a pool (T, ...) with ``count`` tiles; the new ones hold ``fill``."""
+    def extend(
+        self, pool: DeviceArray[Scalar], count: int, fill: int | None, room: int = 0
+    ) -> DeviceArray[Scalar]:
+        """Return a pool (T, ...) with ``count`` tiles, T or more, in place of the given one.
+
+        Args:
+            fill: value of the new tiles; None: undefined.
+            room: tiles that the pool may grow to before it is copied, at the least; 0: it will
+                not grow.
+        """
         if self.opencl:
-            grown = self.opencl.empty((count, *pool.shape[1:]), pool.dtype)
-            self.opencl.copy(pool, grown)
-            self.opencl.fill(grown, fill, first=pool.size)
-            return grown
-        longer = np.full((count, *pool.shape[1:]), fill, dtype=pool.dtype)
+            return self.opencl.extended(pool, count, fill, room)
+        longer = np.full((count, *pool.shape[1:]), fill or 0, dtype=pool.dtype)
         longer[: pool.shape[0]] = host(pool)
         return longer
 

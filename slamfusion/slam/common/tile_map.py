@@ -23,12 +23,11 @@ from slamfusion.errors import MemoryBudgetError
 from slamfusion.geometry import F64
 from slamfusion.slam.common.state import check_indices, check_kinds, check_shapes
 
-# Tiles of a new pool: a room's, so that a small map never grows.
-FIRST_TILES = 64
-# Factors by which a full pool grows: the number of copies stays logarithmic. Shared maps grow less;
-# large ones, from ``LARGE_TILES`` on, still less.
-GROWTH, SHARED_GROWTH = 1.5, 1.25
-LARGE_TILES, LARGE_GROWTH = 10_000, 1.1
+# Tiles for which a pool reserves memory at first: a room's, so that a small map is never copied.
+FIRST_ROOM = 64
+# The same of shared maps: a large building's with 30 particles. To copy that many tiles would take
+# longer than many scans; on a CPU memory that was never written takes no room.
+SHARED_ROOM = 1 << 14
 # Empty pages that the window keeps between its content and its border, so that it seldom moves.
 MARGIN = 2
 # Pages that a window may have: 64 MB of page table, far beyond any building.
@@ -43,7 +42,7 @@ class _Tiles:
     """Pools of tiles on the device behind one window of pages.
 
     Attributes:
-        pools: by name, (T, TILE, TILE) handles.
+        pools: by name, (T, TILE, TILE) handles: the tiles in use, first the empty one.
         pages: (..., PH, PW) int32, tile of each page of the window, 0 where there is none.
         corner: (2,) int64, column and row of the window's lower-left page, counted from the anchor.
         page_tables: ``pages`` on the device.
@@ -56,9 +55,8 @@ class _Tiles:
         maps: tuple[int, ...] = (),
     ) -> None:
         self._device = device
-        self._fills = {name: fill for name, (_, fill) in pools.items()}
         self.pools: dict[str, DeviceArray[Any]] = {
-            name: device.upload(np.full((FIRST_TILES, TILE, TILE), fill, dtype=kind))
+            name: device.upload(np.full((1, TILE, TILE), fill, dtype=kind))
             for name, (kind, fill) in pools.items()
         }
         size = 2 * MARGIN + 1
@@ -69,7 +67,7 @@ class _Tiles:
 
     @property
     def memory_bytes(self) -> int:
-        """Bytes of pools and page tables, on host and device."""
+        """Bytes of the tiles in use and of the page tables, on host and device."""
         pools = sum(pool.size * pool.dtype.itemsize for pool in self.pools.values())
         return pools + 2 * self.pages.nbytes
 
@@ -79,7 +77,8 @@ class _Tiles:
         return np.asarray(self.corner * TILE, dtype=np.float64)
 
     @property
-    def _capacity(self) -> int:
+    def tiles(self) -> int:
+        """Number of tiles in use, the empty one included."""
         return next(iter(self.pools.values())).shape[0]
 
     def cover(self, low: F64, high: F64) -> None:
@@ -127,12 +126,8 @@ class _Tiles:
         first = (self.corner + np.array([col0, row0])) * TILE
         return values.reshape(height * TILE, width * TILE), first
 
-    def _extend(self, capacity: int) -> None:
-        for name in self.pools:  # no old pool outlives its turn
-            self.pools[name] = self._device.extend(self.pools[name], capacity, self._fills[name])
-
-    def _restore(self, arrays: Mapping[str, Array], *others: str) -> int:
-        """Restore saved pools, pages and corner; return how many tiles each pool holds."""
+    def _restore(self, arrays: Mapping[str, Array], *others: str) -> None:
+        """Restore saved pools, pages and corner."""
         kept = {name: pool for name, pool in self.pools.items() if f"pool_{name}" in arrays}
         shapes = {f"pool_{name}": f"T {TILE} {TILE}" for name in kept}
         pages = "N H W" if self.pages.ndim > 2 else "H W"
@@ -144,12 +139,10 @@ class _Tiles:
         check_kinds(arrays, kinds | dict.fromkeys(others, np.int32))
         if arrays["pages"].size > MOST_PAGES * max(len(arrays["pages"]), 1):
             raise ValueError(f"a window of {arrays['pages'].shape} pages")
-        tiles = lengths.get("T", 0)
-        check_indices("pages", arrays["pages"], tiles)
+        check_indices("pages", arrays["pages"], lengths.get("T", 0))
         check_indices("corner", arrays["corner"], MOST_SIDE, first=-MOST_SIDE)
         self.pages, self.corner = arrays["pages"].copy(), arrays["corner"].copy()
         self.pools = {name: self._device.upload(arrays[f"pool_{name}"]) for name in kept}
-        return tiles
 
     def _send(self) -> None:
         self.page_tables = self._device.upload(self.pages)
@@ -162,7 +155,7 @@ class TileMap(_Tiles):
         self, device: ComputeDevice, pools: Mapping[str, tuple[npt.DTypeLike, int]]
     ) -> None:
         """Make pools with their empty tile, given the dtype and the fill value by name."""
-        self.tiles = 1
+        self._fills = {name: fill for name, (_, fill) in pools.items()}
         self._wanted: Any = None
         super().__init__(device, pools)
 
@@ -179,17 +172,11 @@ class TileMap(_Tiles):
     def to_arrays(self) -> dict[str, Array]:
         """Return everything as arrays, for saving."""
         pools = {f"pool_{name}": self._device.download(p) for name, p in self.pools.items()}
-        tiles = np.array(self.tiles)
-        return {"pages": self.pages, "corner": self.corner, "tiles": tiles, **pools}
+        return {"pages": self.pages, "corner": self.corner, **pools}
 
     def restore(self, arrays: Mapping[str, Array]) -> None:
         """Take over what ``to_arrays`` returned, with the pools that it has."""
-        check_shapes(arrays, {"tiles": ""})
-        check_kinds(arrays, {"tiles": np.int64})
-        tiles = self._restore(arrays)
-        if not 0 < int(arrays["tiles"]) <= tiles:
-            raise ValueError(f"{arrays['tiles']} tiles used, of {tiles}")
-        self.tiles = int(arrays["tiles"])
+        self._restore(arrays)
         self._send()
 
     def keep_only(self, name: str) -> None:
@@ -200,11 +187,10 @@ class TileMap(_Tiles):
     def _provide_wanted(self) -> None:
         """Give a tile to every page that needs one."""
         missing = np.flatnonzero(self._device.download(self._wanted))
-        needed = self.tiles + len(missing)
-        if needed > self._capacity:
-            self._extend(max(needed, int(self._capacity * GROWTH)))
-        self.pages.flat[missing] = np.arange(self.tiles, needed)
-        self.tiles = needed
+        used, needed = self.tiles, self.tiles + len(missing)
+        for name, fill in self._fills.items():  # no old pool outlives its turn
+            self.pools[name] = self._device.extend(self.pools[name], needed, fill, FIRST_ROOM)
+        self.pages.flat[missing] = np.arange(used, needed)
         self._send()
 
     def _send(self) -> None:
@@ -220,7 +206,7 @@ class SharedTileMaps(_Tiles):
     ) -> None:
         """Make empty maps."""
         # Number of maps that use each tile; the empty tile counts as unused and is never free.
-        self._users = np.zeros(FIRST_TILES, dtype=np.int32)
+        self._users = np.zeros(1, dtype=np.int32)
         self._one: tuple[int, DeviceArray[Any]] | None = None
         super().__init__(device, {name: (kind, 0) for name, kind in pools.items()}, (count,))
 
@@ -284,30 +270,16 @@ class SharedTileMaps(_Tiles):
 
     def to_state(self) -> dict[str, Array]:
         """Return everything as arrays, for saving; tiles keep their numbers."""
-        used = int(np.flatnonzero(self._users).max(initial=0)) + 1
-        pools = {f"pool_{name}": self._device.download(p)[:used] for name, p in self.pools.items()}
-        return {
-            "pages": self.pages,
-            "corner": self.corner,
-            "users": self._users[:used],
-            "capacity": np.array(len(self._users)),
-            **pools,
-        }
+        pools = {f"pool_{name}": self._device.download(p) for name, p in self.pools.items()}
+        return {"pages": self.pages, "corner": self.corner, "users": self._users, **pools}
 
     def restore(self, state: Mapping[str, Array]) -> None:
         """Take over what ``to_state`` returned."""
-        pools = {f"pool_{name}": f"T {TILE} {TILE}" for name in self.pools}
-        check_shapes(state, {"capacity": "", **pools})
-        check_kinds(state, {"capacity": np.int64})
-        tiles, capacity = self._restore(state, "users"), int(state["capacity"])
-        if not tiles <= capacity <= max(4 * tiles, FIRST_TILES):
-            raise ValueError(f"room for {capacity} tiles, of which {tiles} are used")
-        users = np.bincount(state["pages"].ravel(), minlength=tiles)
+        self._restore(state, "users")
+        users = np.bincount(state["pages"].ravel(), minlength=self.tiles)
         if not np.array_equal(users[1:], state["users"][1:]):
             raise ValueError("users: not as many as the pages have")
-        self._users = np.zeros(capacity, dtype=np.int32)
-        self._users[: len(state["users"])] = state["users"]
-        self._extend(capacity)
+        self._users = state["users"].copy()
         self._send()
 
     def _take(self, count: int) -> npt.NDArray[np.int64]:
@@ -315,12 +287,11 @@ class SharedTileMaps(_Tiles):
         free = np.flatnonzero(self._users[1:] == 0)[:count] + 1
         missing = count - len(free)
         if missing > 0:
-            held = len(self._users)
-            growth = LARGE_GROWTH if held > LARGE_TILES else SHARED_GROWTH
-            capacity = max(held + missing, int(held * growth))
-            self._extend(capacity)
-            self._users = np.append(self._users, np.zeros(capacity - held, dtype=np.int32))
-            free = np.append(free, np.arange(held, held + missing))
+            held, needed = self.tiles, self.tiles + missing
+            for name, pool in self.pools.items():  # who takes a tile copies all of another into it
+                self.pools[name] = self._device.extend(pool, needed, None, SHARED_ROOM)
+            self._users = np.append(self._users, np.zeros(missing, dtype=np.int32))
+            free = np.append(free, np.arange(held, needed))
         return free
 
     def _send(self) -> None:

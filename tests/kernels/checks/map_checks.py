@@ -25,7 +25,8 @@ from tests.kernels.checks.sample import Arrays, Check, Sample, fetch
 
 def _extend(device: ComputeDevice, sample: Sample) -> Arrays:
     pool = device.upload(sample.rng.integers(0, 9, (3, 5, 7)).astype(np.uint32))
-    grown = [device.extend(pool, count, UNSEEN) for count in (3, 4, 11)]
+    grown = [device.extend(pool, count, UNSEEN, 5) for count in (3, 4, 11)]
+    grown.append(device.extend(grown[1], 5, UNSEEN, 5))
     return [*fetch(device, grown), device.download(pool)]
 
 

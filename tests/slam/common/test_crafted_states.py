@@ -134,7 +134,6 @@ def test_edits_of_a_record_are_refused_or_make_a_state(
         ("gmapping", ("_maps", "tiles", "pages"), -1),
         ("gmapping", ("_maps", "tiles", "pages"), 1 << 30),
         ("gmapping", ("_maps", "tiles", "users"), 3),
-        ("gmapping", ("_maps", "tiles", "capacity"), 1 << 40),
         ("gmapping", ("_maps", "tiles", "corner"), 1 << 40),
     ],
 )
