@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 from slamfusion.evidence.beams import JudgedScans, ScanHits, cover_stamps
 from slamfusion.evidence.path_frames import FROM_MEDIAN, geman_mcclure
-from slamfusion.geometry import F64, wrap_angle, wrap_angles
+from slamfusion.geometry import F64, Pose2, pose_of, row_of, wrap_angle, wrap_angles
 from slamfusion.trajectory import Trajectory
 
 B8 = npt.NDArray[np.bool_]
@@ -241,21 +241,14 @@ class ScanMatch:
     """Where a scan lies on a map of walls.
 
     Attributes:
-        pose: (3,) float64, metres and radians, in the frame of the map.
-        covariance: (3, 3) float64 of it, on these walls.
-        known_share: share of the hits that meet a wall of the map.
-        fitting_share: share of these that lie on it.
+        pose: in the frame of the map.
+        covariance: (3, 3) float64, x and y in metres, yaw in radians, in axes of that frame.
+        fits: whether the scan shows that place.
     """
 
-    pose: F64
+    pose: Pose2
     covariance: F64
-    known_share: float
-    fitting_share: float
-
-    @property
-    def fits(self) -> bool:
-        """Whether the scan shows that place."""
-        return self.known_share > LEAST_KNOWN and self.fitting_share > LEAST_FITTING
+    fits: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -290,17 +283,17 @@ class WallMap:
         """Return these walls with others, which stand as sure as those."""
         return replace(seen, lattices=(*self.lattices, *seen.lattices), spread_m=self.spread_m)
 
-    def match(self, scan: ScanHits, expected: F64, covariance: F64) -> ScanMatch:
-        """Find where a scan lies, near where it is expected.
+    def match(self, scan: ScanHits, place: Pose2, covariance: F64) -> ScanMatch:
+        """Find where a scan lies on these walls, near a place that is expected with a covariance.
 
         Gauss-Newton steps on the distances of hits from the lines of their patches, without far
-        hits. Directions that walls leave open, as along a corridor, stay as expected: (3,) metres
-        and radians, with (3, 3) covariance.
+        hits. Directions that walls leave open, as along a corridor, stay as expected.
         """
         points, facings_rad = scan.rows[:, :2], scan.rows[:, 2]
         is_seen = np.abs(_turned_rad(facings_rad, np.array(scan.laser) - points)) > LONE_RAD
         points, facings_rad = points[is_seen], facings_rad[is_seen]
-        prior, pose = np.linalg.inv(covariance), expected
+        prior, expected = np.linalg.inv(covariance), row_of(place)
+        pose = expected
         for scale_m in SCALES_M:
             slopes, away_m, is_known = self._measure(points, facings_rad, pose)
             weights = geman_mcclure(away_m / max(scale_m, 2.0 * self.spread_m))
@@ -314,9 +307,9 @@ class WallMap:
             )
         is_fitting = is_known & (np.abs(away_m) < FITTING * self.spread_m)
         known, fitting = int(np.count_nonzero(is_known)), int(np.count_nonzero(is_fitting))
-        known_share, fitting_share = known / max(1, len(is_known)), fitting / max(1, known)
+        fits = known > LEAST_KNOWN * len(is_known) and fitting > LEAST_FITTING * known
         sure = np.asarray(np.linalg.inv(information), dtype=np.float64)
-        return ScanMatch(pose, sure, known_share, fitting_share)
+        return ScanMatch(pose_of(pose), sure, fits)
 
     def _measure(self, points: F64, facings_rad: F64, pose: F64) -> tuple[F64, F64, B8]:
         """Return (L * H, ...) derivatives by the pose (3), distances (m), and whether known."""

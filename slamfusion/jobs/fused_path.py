@@ -12,7 +12,7 @@ from slamfusion.evaluation.measured import Measures
 from slamfusion.evidence.fused_path import fuse_paths, trust_in_paths
 from slamfusion.evidence.path_frames import moved_onto
 from slamfusion.evidence.predictive import PathEvidence
-from slamfusion.evidence.refinement import RefinedPath, refine_borne_out
+from slamfusion.evidence.refined_path import RefinedPath, refine_borne_out
 from slamfusion.fusion.path_check import moved_path
 from slamfusion.jobs.outputs import FUSED
 from slamfusion.json_values import FLAT

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple, TypeAlias, get_args
 
 import numpy as np
@@ -34,13 +34,13 @@ from slamfusion.evidence.beams import (
 from slamfusion.evidence.conditions import Condition, drive_conditions
 from slamfusion.evidence.drawn_map import DrawnScan, draw_map, drawn_scans
 from slamfusion.evidence.parting import parted, path_gaps
-from slamfusion.evidence.patches import WallMap
+from slamfusion.evidence.patches import ScanMatch, WallMap
 from slamfusion.evidence.path_frames import moved_onto
 from slamfusion.evidence.predictive import SURE, PathEvidence, score_paths
 from slamfusion.evidence.recommendation import LEAST_DIFFERENCE
 from slamfusion.fusion.live import Evidence
 from slamfusion.fusion.path_check import moved_path
-from slamfusion.geometry import F64, Pose2, fit_motion, moved_poses, pose_of, row_of, with_levers
+from slamfusion.geometry import F64, Pose2, fit_motion, moved_poses, row_of, with_levers
 from slamfusion.io import LogScan
 from slamfusion.jobs.fused_path import DrivePath, fuse_weighed_paths
 from slamfusion.jobs.outputs import DRAWN, FUSED
@@ -134,21 +134,6 @@ class DriveSolution:
         """The transforms of the inputs that the scans do not contradict."""
         motions, doubts = self.evidence.transforms, self.evidence.doubts
         return {name: motion for name, motion in motions.items() if name not in doubts}
-
-
-@dataclass(frozen=True, eq=False)
-class LocatedPose:
-    """Pose of the robot in the fused frame.
-
-    Attributes:
-        covariance: (3, 3) float64, x and y in metres, yaw in radians, in axes of that frame: of
-            the match, and of the walls that the scan was matched to.
-        is_matched: whether its scan was matched to the walls; else carried on from the last one.
-    """
-
-    pose: Pose2
-    covariance: F64
-    is_matched: bool
 
 
 class _Kept(NamedTuple):
@@ -257,11 +242,12 @@ class LiveDrive:
                 for name, motion in solution.supported.items()
             }
 
-    def locate(self, name: str, stamp_s: float, pose: Pose2) -> LocatedPose | None:
+    def locate(self, name: str, stamp_s: float, pose: Pose2) -> ScanMatch | None:
         """Return the fused-frame pose of a new pose in an input's map frame, or None.
 
         The pose is carried over as the last one was; from there its scan is matched to the walls of
-        the solution and of later scans. A scan that does not fit leaves the pose as it is.
+        the solution and of later scans. A scan that does not fit leaves the pose as it is. The
+        covariance is that of the match and of the walls.
         """
         with self._lock:
             solved, grown, last = self._walls, self._grown, self._corrections.get(name)
@@ -272,16 +258,16 @@ class LiveDrive:
         motion, before = last
         expected, covariance = motion.compose(pose), before + _variances(STEP_M, STEP_RAD)
         if solved is None or grown is None:
-            return LocatedPose(expected, covariance, is_matched=False)
-        found = None if scan is None else grown.match(scan, row_of(expected), covariance)
+            return ScanMatch(expected, covariance, fits=False)
+        found = None if scan is None else grown.match(scan, expected, covariance)
         if scan is None or found is None or not found.fits:
-            return LocatedPose(expected, covariance + grown.covariance, is_matched=False)
-        located, covariance = pose_of(found.pose), found.covariance + grown.covariance
+            return ScanMatch(expected, covariance + grown.covariance, fits=False)
+        covariance = found.covariance + grown.covariance
         with self._lock:
             is_last = self._corrections.get(name) is last
             if is_last:
-                self._corrections[name] = located.compose(pose.inverse()), found.covariance
-            added = self._added_scans(scan, found.pose) if is_last else []
+                self._corrections[name] = found.pose.compose(pose.inverse()), found.covariance
+            added = self._added_scans(scan, row_of(found.pose)) if is_last else []
         if added:  # no solution has seen a new room yet
             scans = judged_hits([one for one, _ in added])
             path = Trajectory(scans.stamps_s, np.array([row for _, row in added]), FUSED)
@@ -289,7 +275,7 @@ class LiveDrive:
             with self._lock:
                 if seen is not None and self._walls is solved:
                     self._grown = solved.joined(seen)
-        return LocatedPose(located, covariance, is_matched=True)
+        return replace(found, covariance=covariance)
 
     def _added_scans(self, scan: ScanHits, pose: F64) -> list[tuple[ScanHits, F64]]:
         """Take a located scan; return the last ones where the walls are to grow by them."""

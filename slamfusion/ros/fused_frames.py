@@ -212,7 +212,7 @@ class FusedFrames:
         else:
             pose = transform.compose(heard.pose)
             covariance = self._node.covariance(self.leader, heard.stamp_s)
-        if located is None or located.is_matched or self._unmatched_s is None:
+        if located is None or located.fits or self._unmatched_s is None:
             self._unmatched_s = heard.stamp_s
         self._name_unmatched(heard.stamp_s - self._unmatched_s)
         stamp = self._fresh(POSE_TOPIC, heard.stamp, pose, is_revised=is_revised)

@@ -22,6 +22,7 @@ from slamfusion.errors import SlamFusionError
 from slamfusion.evaluation.map_error import MapError
 from slamfusion.evidence.beams import judged_scans
 from slamfusion.evidence.drawn_map import draw_map, drawn_scans
+from slamfusion.evidence.patches import ScanMatch
 from slamfusion.evidence.path_frames import moved_onto
 from slamfusion.evidence.predictive import score_paths
 from slamfusion.experiments.fusions import against_truth
@@ -32,15 +33,7 @@ from slamfusion.grid import OccupancyGrid
 from slamfusion.io import LogScan
 from slamfusion.jobs.fused_path import fuse_weighed_paths
 from slamfusion.jobs.inputs import LogFiles
-from slamfusion.jobs.live_drive import (
-    PARTS,
-    STILL_S,
-    Depth,
-    DriveSolution,
-    LiveDrive,
-    LocatedPose,
-    Pace,
-)
+from slamfusion.jobs.live_drive import PARTS, STILL_S, Depth, DriveSolution, LiveDrive, Pace
 from slamfusion.sim import named_course, simulate, write_recording
 from slamfusion.slam.registry import BUILT_IN, make_producer, with_producers
 from slamfusion.trajectory import Trajectory
@@ -206,7 +199,7 @@ class Robot:
         self.pace = Pace()
         self.solution: DriveSolution | None = None
         self.named_s: dict[str, float] = {}
-        self.online: list[tuple[float, LocatedPose]] = []
+        self.online: list[tuple[float, ScanMatch]] = []
         self.is_undecided: list[bool] = []
         self.fused: OccupancyGrid | None = None
         self.cpu_s = 0.0
@@ -302,11 +295,13 @@ def as_run(
 
 
 def bend_m(path: Trajectory, right: Trajectory) -> float:
-    """Return how far a path leaves the right one at most, metres; aligned by its first part."""
-    still = right.poses[right.nearest(path.stamps_s)]
-    first = slice(len(path) // PARTS + 1)
-    motion = fit_motion(with_levers(path.poses[first]), with_levers(still[first]))
-    return float(np.hypot(*(moved_poses(motion, path.poses) - still)[:, :2].T).max())
+    """Return how far a path leaves the right one at most, metres; aligned by any of its parts."""
+    still, most_m = right.poses[right.nearest(path.stamps_s)], 0.0
+    for part in np.array_split(np.arange(len(path)), PARTS):
+        motion = fit_motion(with_levers(path.poses[part]), with_levers(still[part]))
+        off = moved_poses(motion, path.poses) - still
+        most_m = max(most_m, float(np.hypot(*off[:, :2].T).max()))
+    return most_m
 
 
 def far_shares(robot: Robot, online: Trajectory, right: Trajectory) -> tuple[float, float]:
@@ -388,7 +383,7 @@ def measured(
         path_error(path, told.drive),
         path_error(online, told.drive),
         *(f"{100.0 * share:.1f}" for share in (far, unnamed)),
-        f"{100.0 * np.mean([located.is_matched for _, located in robot.online]):.1f}",
+        f"{100.0 * np.mean([located.fits for _, located in robot.online]):.1f}",
         ", ".join(since.get(name, "never") for name in bent_ones) or "-",
         ", ".join(wrong) or "none",
         *(cell for form in (_f16, _walls) for cell in (form(live_map), form(run_map))),

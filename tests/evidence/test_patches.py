@@ -7,7 +7,7 @@ import pytest
 
 from slamfusion.evidence.beams import judged_scans, scan_hits
 from slamfusion.evidence.patches import ScanMatch, WallMap
-from slamfusion.geometry import F64
+from slamfusion.geometry import F64, pose_of, row_of, wrap_angle
 from slamfusion.trajectory import Trajectory
 from tests.evidence.rooms import ROOM, box, circuit, recorded
 
@@ -22,7 +22,7 @@ def match(mapped: F64, seen: F64, at: F64, expected: F64) -> ScanMatch:
     scan = scan_hits(item)
     assert walls is not None
     assert scan is not None
-    return walls.match(scan, expected, np.diag(SIGMAS**2))
+    return walls.match(scan, pose_of(expected), np.diag(SIGMAS**2))
 
 
 @pytest.mark.parametrize("number", [0, 40, 100])
@@ -31,8 +31,8 @@ def test_a_known_offset_is_recovered(off: tuple[float, float, float], number: in
     at = circuit().poses[number]
     found = match(ROOM, ROOM, at, at + off)
     assert found.fits
-    assert np.hypot(*(found.pose - at)[:2]) < 0.012
-    assert abs(found.pose[2] - at[2]) < 0.004
+    assert np.hypot(*(row_of(found.pose) - at)[:2]) < 0.012
+    assert abs(wrap_angle(found.pose.yaw_rad - at[2])) < 0.004
     # It says how sure it is.
     assert np.all(np.sqrt(np.diag(found.covariance)) < (0.012, 0.012, 0.004))
 
@@ -49,7 +49,7 @@ def test_what_no_wall_shows_stays_as_expected() -> None:
     at = circuit().poses[0]
     found = match(walls, walls, at, at + np.array((0.04, 0.05, 0.0)))
     assert found.fits
-    assert found.pose[0] - at[0] == pytest.approx(0.04, abs=0.015)
-    assert found.pose[1] - at[1] == pytest.approx(0.0, abs=0.01)
+    assert found.pose.x - at[0] == pytest.approx(0.04, abs=0.015)
+    assert found.pose.y - at[1] == pytest.approx(0.0, abs=0.01)
     along_m, across_m, _ = np.sqrt(np.diag(found.covariance))
     assert along_m > 3.0 * across_m

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from slamfusion.compute import ComputeDevice
-from slamfusion.evidence import refinement
+from slamfusion.evidence import refined_path
 from slamfusion.evidence.beams import JudgedScans
 from slamfusion.evidence.predictive import score_paths, with_path
-from slamfusion.evidence.refinement import refine_borne_out
+from slamfusion.evidence.refined_path import refine_borne_out
 from slamfusion.geometry import compose_poses, invert_poses
 from slamfusion.json_values import plain
 from slamfusion.trajectory import Trajectory
@@ -51,7 +51,7 @@ def test_a_path_that_the_scans_speak_against_is_not_taken(
     evidence = score_paths(replace(scans, odometry=None), {"other": wavy(truth)}, device)
     # What a refinement that pulls two walls together would do.
     monkeypatch.setattr(
-        refinement, "refine_path", lambda _, path: moved(path, (0.4, 0.0, 0.0), len(path) // 2)
+        refined_path, "refine_path", lambda _, path: moved(path, (0.4, 0.0, 0.0), len(path) // 2)
     )
     found = refine_borne_out(evidence, given, device)
     assert not found.taken
@@ -61,7 +61,7 @@ def test_a_path_that_the_scans_speak_against_is_not_taken(
     assert found.evidence.scores["fused"].consistency == before.consistency
     assert tuple(found.evidence.scores) == ("other", "fused")
     # What comes by chance more often than once in a hundred times speaks against neither.
-    monkeypatch.setattr(refinement, "SURE", found.p_value)
+    monkeypatch.setattr(refined_path, "SURE", found.p_value)
     assert refine_borne_out(evidence, given, device).taken
     assert plain(found) == {
         "taken": False,

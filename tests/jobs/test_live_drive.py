@@ -340,7 +340,7 @@ def test_new_poses_are_located_on_the_solved_walls(device: ComputeDevice) -> Non
     # Without a scan of its stamp a pose is carried on, and is less sure.
     later = robot.live.locate("a", 1e3, drifted)
     assert later is not None
-    assert not later.is_matched
+    assert not later.fits
     assert np.all(np.diag(later.covariance) > np.diag(found.covariance))
     # Walls that are less sure make the pose less sure.
     assert solution.walls is not None
@@ -365,6 +365,6 @@ def test_a_new_room_is_matched_before_a_solution_has_seen_it(device: ComputeDevi
         robot.drive_to(step + 1, "")
         found = robot.live.locate("a", robot.scans[step].scan.stamp_s, drifted)
         assert found is not None
-        assert found.is_matched, step
+        assert found.fits, step
         truth = robot.truth[step]
         assert math.dist((found.pose.x, found.pose.y), (truth.x, truth.y)) < 0.05, step
