@@ -112,7 +112,8 @@ __kernel void tile_peaks(__global const int *forward, __global const int *backwa
 /* What the points are worth under each pose, summed over chunks of points:
  * partial[chunk, p] = sum of the field in the cells that the points meet, `base` for those off it.
  * points (2, stride) int: x of all points about their middle, then y, stride and chunk multiples of 8;
- * poses (4, n) int, points to field, with `shift` bits below a whole cell (see narrow_motions);
+ * motions (4, n) long Q30: cos, sin, x, y, points to field, of which `drop` bits are rounded off and
+ * `shift` remain below a whole cell (see narrow_motions);
  * field (height, width) uchar; partial (chunks, n) int.
  * 32 bits, so that eight points move at once: three times as fast on PoCL as one by one in 64.
  * A point off the field reads its first cell, which is put right at the end.
@@ -120,14 +121,15 @@ __kernel void tile_peaks(__global const int *forward, __global const int *backwa
  * one chunk, as of most motions, fifteen of sixteen items would have nothing to do.
  * Global: (chunks * n). */
 __kernel void pose_scores(__global const int *points, const int count, const int stride,
-                          __global const int *poses, const int n, const int shift,
-                          __global const uchar *field, const int height, const int width,
-                          const int base, const int chunk, const int chunks,
+                          __global const long *motions, const int n, const int drop,
+                          const int shift, __global const uchar *field, const int height,
+                          const int width, const int base, const int chunk, const int chunks,
                           __global int *partial) {
   const int c = get_global_id(0) / n, p = get_global_id(0) % n;
   if (c >= chunks) return;
-  const int cosine = poses[p], sine = poses[n + p];
-  const int tx = poses[2 * n + p], ty = poses[3 * n + p];
+  const long upward = 1L << (drop - 1);
+  const int cosine = (motions[p] + upward) >> drop, sine = (motions[n + p] + upward) >> drop;
+  const int tx = (motions[2 * n + p] + upward) >> drop, ty = (motions[3 * n + p] + upward) >> drop;
   const int first = c * chunk, stop = LOWER(first + chunk, count);
   const int even = first + ((stop - first) & ~7);
   int sum = 0;
@@ -158,9 +160,8 @@ __kernel void pose_scores(__global const int *points, const int count, const int
 /* What the points are worth under each motion and its eight neighbours, shifted by a step along x, y
  * or both: partial[chunk, n, 3 i + j] = pose_scores of motion n shifted by i and j steps, of {0, -1,
  * 1}. The nine share a rotation, so the products of a point are made once.
- * points as of pose_scores; motions (6, n) long Q30: cos, sin, x, y, points to field, and a step along x
- * in the field, a and b; one along y is (-b, a) there; `drop` bits are rounded off, `shift` remain below
- * a whole cell; field (height, width) uchar; partial (chunks, n, 9) int. Global: (chunks * n). */
+ * All as of pose_scores, but motions (6, n): also a step along x in the field, a and b; one along y is
+ * (-b, a) there; and partial (chunks, n, 9) int. Global: (chunks * n). */
 __kernel void neighbour_scores(__global const int *points, const int count, const int stride,
                                __global const long *motions, const int n, const int drop,
                                const int shift, __global const uchar *field, const int height,

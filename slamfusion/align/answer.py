@@ -170,7 +170,7 @@ def _decided(
 def _image_gain(pair: Pair, config: AlignConfig, answer: Answer, trials: float) -> float | None:
     """Return the evidence for the mirror image over that for a rejected answer, if it is better."""
     image = pair.mirrored()
-    coarse, motions, _ = search(image, config, SearchWindow())
+    coarse, motions = search(image, config, SearchWindow())
     if not len(motions):
         return None
     other = best_answer(image, SearchResult(motions, coarse, "full"), Chances(trials))

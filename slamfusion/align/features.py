@@ -262,7 +262,15 @@ class GridFeatures:
     @_kept
     def _known_at_distance(self, step: int) -> npt.NDArray[np.float64]:
         """Return (N,) the known cells of a level by squared distance to a wall."""
-        return _known_by_distance(self.device, self.grid.cells, self.level(step))
+        level = self.level(step)
+        distance2 = self.device.download(level.distance2)
+        if step == 1:
+            is_known = self.grid.cells == 0
+            is_known[level.points[:, 1] // 2, level.points[:, 0] // 2] = True
+            return _sums_by_distance(distance2, is_known)
+        share = self.device.download(level.free).copy()
+        share[self.device.download(level.wall) != 0] = FIELD_ONE
+        return _sums_by_distance(distance2, share) / FIELD_ONE
 
     @_kept
     def wall_planes(self, step: int, most: int) -> PointPlanes:
@@ -322,20 +330,6 @@ class GridFeatures:
         return self.device.score_field(
             level.distance2, level.free, table.hit, table.miss, table.base
         )
-
-
-def _known_by_distance(
-    device: ComputeDevice, cells: npt.NDArray[np.int8], level: Level
-) -> npt.NDArray[np.float64]:
-    """Return (N,) the known cells of a level of a map of such cells, by squared distance."""
-    distance2 = device.download(level.distance2)
-    if level.step == 1:
-        is_known = cells == 0
-        is_known[level.points[:, 1] // 2, level.points[:, 0] // 2] = True
-        return _sums_by_distance(distance2, is_known)
-    share = device.download(level.free).copy()
-    share[device.download(level.wall) != 0] = FIELD_ONE
-    return _sums_by_distance(distance2, share) / FIELD_ONE
 
 
 def _sums_by_distance(

@@ -369,7 +369,7 @@ def mirror_gain(
         return None
     own -= OBSERVED_M * math.log(START_WRONG) if is_near else 0.0
     image = pair.mirrored()
-    _, motions, _ = search(image, config, SearchWindow())
+    _, motions = search(image, config, SearchWindow())
     if not len(motions):
         return 0.0
     return max(0.0, float(weigh(image, motions, reading).total.max())) / own

@@ -56,18 +56,13 @@ def displacement(a: F64, b: F64) -> tuple[float, float]:
     return float(math.hypot(a[0] - b[0], a[1] - b[1])), abs(float(turn))
 
 
-def distinct(motions: F64, shift: float, turn: float, most: int | None = None) -> F64:
-    """Return motions (P, 3), best first, except those within shift and turn of a better one.
-
-    ``shift`` is in cells, ``turn`` in rad; at most ``most`` motions are returned.
-    """
-    return np.asarray(motions[distinct_rows(motions, shift, turn, most)])
-
-
-def distinct_rows(
+def distinct(
     motions: F64, shift: float, turn: float, most: int | None = None
 ) -> npt.NDArray[np.intp]:
-    """Return which rows ``distinct`` keeps, ascending."""
+    """Return rows of motions (P, 3), best first, but those within shift and turn of a better one.
+
+    ``shift`` is in cells, ``turn`` in rad; at most ``most`` rows are returned, ascending.
+    """
     kept: list[int] = []
     left = np.arange(len(motions))
     while len(left) and (most is None or len(kept) < most):

@@ -13,12 +13,13 @@ from __future__ import annotations
 import math
 from collections.abc import Collection
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
 
 from slamfusion.align.decide import DecisionKind
-from slamfusion.align.pair import Pair, distinct, distinct_rows
+from slamfusion.align.pair import Pair, distinct
 from slamfusion.align.refine import refine, settle
 from slamfusion.align.scores import neighbour_offsets, score_motions, score_neighbours
 from slamfusion.align.shifts import (
@@ -67,12 +68,10 @@ class CoarseSearch:
     """The outcome of the coarse stages.
 
     Attributes:
-        step: fine cells per cell of the coarsest level.
+        step, last_step: fine cells per cell of the coarsest and of the last level.
         yaws: (K,) yaw in rad of each rotation tried.
         best: (K,) most evidence at each yaw, as a share of the most at any; 0 without evidence.
         motions: (P, 3) best distinct motions in fine cells, best first.
-        evidence: (P,) what the last level gives for them, nats a cell of it.
-        last_step: fine cells per cell of the last level.
         is_cut: walls fill the coarsest level and a finer one would take too long: the right motion
             may be missing.
     """
@@ -81,7 +80,6 @@ class CoarseSearch:
     yaws: F64
     best: F64
     motions: F64
-    evidence: F64
     last_step: int
     is_cut: bool
 
@@ -128,29 +126,32 @@ def coarse_search(
     scores = score_shifts(pair, step, window)
     flat = scores.evidence.ravel()
     order = greatest_rows(flat, DOUBTED_OF * DESCENT[0][0])
-    start = _Leads(scores.motions(order), flat[order], step, scores.yaw_step)
-    leads, doubted = _descend(pair, start)
+    motions, found = scores.motions(order), flat[order]
+    start = _leads(pair, motions, step, scores.yaw_step, found, DESCENT[0][1])
+    leads = _descend(pair, start)
     if is_cut:
         parallel = parallel_shifts(pair)
         best_shifts = greatest_rows(parallel.evidence.ravel(), PARALLEL)
         motions = inside(window, parallel.motions(best_shifts))
         if len(motions):
-            more, _ = _descend(pair, _leads(pair, motions, parallel.step, parallel.yaw_step))
-            leads, doubted = _joined(pair, (leads, more))
-    motions, found = leads.motions, leads.found
+            more = _descend(pair, _leads(pair, motions, parallel.step, parallel.yaw_step))
+            # Both on the finer of their levels.
+            motions = np.concatenate((leads.motions, more.motions))
+            finer = min(leads.step, more.step), min(leads.yaw_step, more.yaw_step)
+            leads = _leads(pair, motions, *finer)
     shift, turn = 2.5 * step, 2.5 * scores.yaw_step
     chosen = []
     for values, most in (
-        (found, config.candidates),
-        (doubted, config.candidates // DOUBTED_CANDIDATES),
+        (leads.found, config.candidates),
+        (leads.doubted, config.candidates // DOUBTED_CANDIDATES),
     ):
         order = np.argsort(-values, kind="stable")
-        chosen.append(order[distinct_rows(motions[order], shift, turn, most)])
+        chosen.append(order[distinct(leads.motions[order], shift, turn, most)])
     kept = np.unique(np.concatenate(chosen))
-    kept = kept[np.argsort(-found[kept], kind="stable")]
+    kept = kept[np.argsort(-leads.found[kept], kind="stable")]
     most_evidence = np.maximum(scores.evidence.max(axis=1), 0.0)
     best = most_evidence / max(float(most_evidence.max()), 1e-9)
-    return CoarseSearch(step, scores.yaws, best, motions[kept], found[kept], leads.step, is_cut)
+    return CoarseSearch(step, scores.yaws, best, leads.motions[kept], leads.step, is_cut)
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,54 +160,55 @@ class _Leads:
 
     Attributes:
         motions: (P, 3).
-        found: (P,) evidence on the level.
+        found, doubted: (P,) evidence on the level, and less the unexplained part.
         step: of the level, fine cells per cell.
         yaw_step: between yaws that were looked at, rad.
     """
 
     motions: F64
     found: F64
+    doubted: F64
     step: int
     yaw_step: float
 
 
-def _descend(pair: Pair, leads: _Leads) -> tuple[_Leads, F64]:
-    """Follow motions down to the last level; return them and their doubted evidence (P,)."""
-    motions, found, last, yaw_step = leads.motions, leads.found, leads.step, leads.yaw_step
+def _leads(
+    pair: Pair,
+    motions: F64,
+    step: int,
+    yaw_step: float,
+    found: F64 | None = None,
+    points: int = DESCENT[-1][1],
+) -> _Leads:
+    """Return motions with their evidence on a level; ``found`` is known, or None."""
+    score = partial(score_motions, pair, motions, step, sigma=COARSE_SIGMA, points=points)
+    doubted = score(doubt=COARSE_DOUBT)
+    return _Leads(motions, score() if found is None else found, doubted, step, yaw_step)
+
+
+def _descend(pair: Pair, leads: _Leads) -> _Leads:
+    """Follow motions down to the last level."""
     target = max(1, round(DESCENT_CELL_M / pair.resolution))
-    doubted = _doubted(pair, motions, last, DESCENT[0][1])
     for most, points in DESCENT:
-        if last <= target:
+        if leads.step <= target:
             break
-        order = _either(found, doubted, most)
-        half = max(target, last // 2)
-        shift, turn = last / 2.0, yaw_step / 2.0
+        # The best, and of the others the best by doubt.
+        order = np.argsort(-leads.found, kind="stable")
+        others = order[most:]
+        others = others[np.argsort(-leads.doubted[others], kind="stable")]
+        order = np.concatenate((order[:most], others[: most // DOUBTED_SHARE]))
+        half = max(target, leads.step // 2)
+        shift, turn = leads.step / 2.0, leads.yaw_step / 2.0
         values = score_neighbours(
-            pair, motions[order], half, shift=shift, turn=turn, sigma=COARSE_SIGMA, points=points
-        )
-        yaw_step *= half / last
-        last = half
+            pair, leads.motions[order], half, shift=shift, turn=turn, sigma=COARSE_SIGMA,
+            points=points,
+        )  # fmt: skip
         best = values.argmax(axis=1)
-        motions = motions[order] + neighbour_offsets(shift, turn)[best]
-        found = values[np.arange(len(best)), best]
-        motions, found = _apart(motions, found, float(last), yaw_step)
-        doubted = _doubted(pair, motions, last, points)
-    return _Leads(motions, found, last, yaw_step), doubted
-
-
-def _leads(pair: Pair, motions: F64, step: int, yaw_step: float) -> _Leads:
-    """Return motions with their evidence on a level."""
-    found = score_motions(pair, motions, step, sigma=COARSE_SIGMA, points=DESCENT[-1][1])
-    return _Leads(motions, found, step, yaw_step)
-
-
-def _joined(pair: Pair, leads: tuple[_Leads, _Leads]) -> tuple[_Leads, F64]:
-    """Return two sets of motions on the finer of their levels; see ``_descend``."""
-    motions = np.concatenate([some.motions for some in leads])
-    step, yaw_step = min(some.step for some in leads), min(some.yaw_step for some in leads)
-    joined = _leads(pair, motions, step, yaw_step)
-    points = DESCENT[-1][1]
-    return joined, _doubted(pair, motions, step, points)
+        motions = leads.motions[order] + neighbour_offsets(shift, turn)[best]
+        yaw_step = leads.yaw_step * (half / leads.step)
+        motions, found = _apart(motions, values.max(axis=1), float(half), yaw_step)
+        leads = _leads(pair, motions, half, yaw_step, found, points)
+    return leads
 
 
 def greatest_rows(values: F64, most: int) -> npt.NDArray[np.intp]:
@@ -216,19 +218,6 @@ def greatest_rows(values: F64, most: int) -> npt.NDArray[np.intp]:
         place = len(values) - most
         chosen = np.nonzero(values >= np.partition(values, place)[place])[0]
     return chosen[np.argsort(-values[chosen], kind="stable")][:most]
-
-
-def _doubted(pair: Pair, motions: F64, step: int, points: int) -> F64:
-    """Return the evidence (P,) on a coarse level, less the unexplained part."""
-    return score_motions(pair, motions, step, sigma=COARSE_SIGMA, points=points, doubt=COARSE_DOUBT)
-
-
-def _either(found: F64, doubted: F64, most: int) -> npt.NDArray[np.intp]:
-    """Return the indices of the ``most`` best, and of the best of the others by doubt."""
-    order = np.argsort(-found, kind="stable")
-    others = order[most:]
-    others = others[np.argsort(-doubted[others], kind="stable")]
-    return np.concatenate((order[:most], others[: most // DOUBTED_SHARE]))
 
 
 def _apart(motions: F64, values: F64, shift: float, turn: float) -> tuple[F64, F64]:
@@ -247,28 +236,32 @@ def _apart(motions: F64, values: F64, shift: float, turn: float) -> tuple[F64, F
 
 def search(
     pair: Pair, config: AlignConfig, window: SearchWindow, chance: float = COARSE_CHANCE_MAX
-) -> tuple[CoarseSearch, F64, F64]:
-    """Run all stages; return the coarse outcome, motions (P, 3) and evidence (P,), best first.
+) -> tuple[CoarseSearch, F64]:
+    """Run all stages; return the coarse outcome, and motions (P, 3), best first.
 
-    Evidence is by the narrow width of a wall; ``chance`` limits the chance on the coarsest level.
+    The order is by the narrow width of a wall; ``chance`` limits that on the coarsest level.
     """
     coarse = coarse_search(pair, config, window, chance)
     middle = max(1, round(coarse.last_step / 2))
     motions = refine(pair, coarse.motions, middle, (8.0, 4.0), points=512)
-    widths = pair.widths
+    narrow, broad = pair.widths
     chosen = []
-    by = ((widths[0], 0.0), (widths[1], 0.0), (widths[0], DOUBT))
+    by = ((narrow, 0.0), (broad, 0.0), (narrow, DOUBT))
     for (sigma, doubt), most in zip(by, SETTLED, strict=True):
         scores = score_motions(pair, motions, 1, sigma=sigma, points=1024, doubt=doubt)
-        order = np.argsort(-scores, kind="stable")
-        chosen.append(distinct(motions[order], 3.0 * middle, 0.02, most))
-    motions = distinct(np.concatenate(chosen), 3.0 * middle, 0.02)
-    motions = inside(window, settle(pair, motions))
+        ordered = motions[np.argsort(-scores, kind="stable")]
+        chosen.append(ordered[distinct(ordered, 3.0 * middle, 0.02, most)])
+    motions = np.concatenate(chosen)
+    motions = motions[distinct(motions, 3.0 * middle, 0.02)]
+    return coarse, ranked(pair, inside(window, settle(pair, motions)))
+
+
+def ranked(pair: Pair, motions: F64) -> F64:
+    """Return motions (P, 3) by the evidence of all walls, best first."""
     if not len(motions):
-        return coarse, motions, np.zeros(0)
-    scores = score_motions(pair, motions, 1, sigma=widths[0])
-    order = np.argsort(-scores, kind="stable")
-    return coarse, motions[order], scores[order]
+        return motions
+    scores = score_motions(pair, motions, 1, sigma=pair.widths[0])
+    return np.asarray(motions[np.argsort(-scores, kind="stable")])
 
 
 def inside(window: SearchWindow, motions: F64) -> F64:
@@ -382,10 +375,10 @@ def search_finer(
     pair: Pair, config: AlignConfig, window: SearchWindow, found: SearchResult
 ) -> SearchResult:
     """Search once more from a finer level on; what was found stays a rival."""
-    coarse, more, _ = search(pair, config, window, FINER_CHANCE_MAX)
-    motions = np.concatenate((more, found.motions))
-    values = score_motions(pair, motions, 1, sigma=pair.widths[0])
-    return replace(found, coarse=coarse, motions=motions[np.argsort(-values, kind="stable")])
+    coarse, more = search(pair, config, window, FINER_CHANCE_MAX)
+    return replace(
+        found, coarse=coarse, motions=ranked(pair, np.concatenate((more, found.motions)))
+    )
 
 
 def search_window(pair: Pair, config: AlignConfig, window: SearchWindow) -> SearchResult:
@@ -393,7 +386,7 @@ def search_window(pair: Pair, config: AlignConfig, window: SearchWindow) -> Sear
     if config.step is not None:
         motion = fixed_step_search(pair, config.step, window)
         return SearchResult(motion[None], None, "fixed step")
-    coarse, motions, _ = search(pair, config, window)
+    coarse, motions = search(pair, config, window)
     if not len(motions):
         return SearchResult(motions, coarse, "window")
     if window.shift_cells is None and window.yaw_rad >= math.pi:
@@ -403,7 +396,7 @@ def search_window(pair: Pair, config: AlignConfig, window: SearchWindow) -> Sear
         shift = min(shift, window.shift_cells)
     prior = prior_within(pair, shift, window.yaw_rad)
     # Among few yaws and shifts every peak stands out, so the rivals come from a full search.
-    _, others, _ = search(pair, config, SearchWindow())
+    _, others = search(pair, config, SearchWindow())
     everything = np.concatenate((motions, others))
     return SearchResult(everything, coarse, "window", prior, candidates=len(motions))
 

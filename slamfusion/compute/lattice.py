@@ -57,11 +57,6 @@ class PointPlanes:
     middle: tuple[int, int]
     reach: int
 
-    @property
-    def stride(self) -> int:
-        """Numbers of a plane."""
-        return self.planes.shape[1]
-
 
 def point_planes(points: I32, device: ArrayDevice) -> PointPlanes:
     """Bring points (N, 2), x and y in half cells, to the device, about their middle."""
@@ -76,23 +71,22 @@ def point_planes(points: I32, device: ArrayDevice) -> PointPlanes:
     return PointPlanes(device.upload(planes), count, (x, y), reach)
 
 
-def narrow_motions(points: PointPlanes, motions: F64, step: float = 0.0) -> tuple[F64, int]:
+def narrow_motions(points: PointPlanes, motions: F64) -> tuple[F64, int]:
     """Return motions of points about their middle, and how many of their bits 32 do not hold.
 
     Args:
-        motions: (4 or more, P) whole numbers in Q30, as the columns of ``fixed_poses``: cos, sin, x
-            and y in half cells.
-        step: Q30, by which x and y grow at most later.
+        motions: (4, P) whole numbers in Q30, as the columns of ``fixed_poses``: cos, sin, x and y
+            in half cells; two more rows are a step in x and y, to be taken later along both axes.
 
     Returns:
-        (4 or more, P) the motions that move the points about their middle where the given ones move
-        the given points; a map of 2000 cells is read within 0.01 cells of where 64 bits read it.
+        The motions that move the points about their middle where the given ones move the given
+        points; a map of 2000 cells is read within 0.01 cells of where 64 bits read it.
     """
     # In float64, which is vectorised and exact below 2^53.
     moved = motions.copy()
     moved[2] += moved[0] * points.middle[0] - moved[1] * points.middle[1]
     moved[3] += moved[1] * points.middle[0] + moved[0] * points.middle[1]
-    farthest = _largest(moved[:2]) * points.reach + _largest(moved[2:4]) + int(step)
+    farthest = _largest(moved[:2]) * points.reach + _largest(moved[2:4]) + 2 * _largest(moved[4:])
     return moved, max(1, (farthest // NARROW_LIMIT).bit_length())
 
 

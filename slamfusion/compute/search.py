@@ -7,7 +7,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -92,40 +92,18 @@ def _half_open(spans: I32, point: int) -> tuple[int, int, int, int]:
     return max(0, r0), max(0, r1 + 1), max(0, c0), max(0, c1 + 1)
 
 
-def _pose_scores(side: ScoredSide) -> I32:
-    """Return (P,) the sum of the field over the points under each motion of one side."""
-    moved, drop = narrow_motions(side.points, side.motions)
-    return _narrow_scores(side, narrowed(moved, drop), drop)
-
-
-def _narrow_scores(side: ScoredSide, motions: I32, drop: int) -> I32:
-    """Return (P,) the sum of the field over the points under motions (4, P) in 32 bits."""
+def _narrow_scores(side: ScoredSide, motions: F64, drop: int) -> I32:
+    """Return (P,) the sum of the field over the points under moved motions (4, P), in 32 bits."""
     field, shift = host(side.field), FIXED_TO_CELL_SHIFT - drop
     height, width = field.shape
     out = np.zeros(motions.shape[1], dtype=np.int32)
     x2, y2 = host(side.points.planes)[:, : side.points.count].astype(np.int64)
-    for p, (cos, sin, x, y) in enumerate(motions.T.astype(np.int64)):
+    for p, (cos, sin, x, y) in enumerate(narrowed(motions, drop).T.astype(np.int64)):
         col, row = (cos * x2 - sin * y2 + x) >> shift, (sin * x2 + cos * y2 + y) >> shift
         inside = (row >= 0) & (col >= 0) & (row < height) & (col < width)
         known = field[row[inside], col[inside]]
         out[p] = known.sum(dtype=np.int64) + side.base * (side.points.count - len(known))
     return out
-
-
-def _neighbour_scores(side: ScoredSide) -> I32:
-    """Return (P, 9) what one side gives for each motion and its neighbours."""
-    moved, drop = _moved_neighbourhood(side)
-    x, y, a, b = moved[2:]
-    scores = []
-    for i, j in NEIGHBOUR_STEPS:
-        stepped = np.stack((*moved[:2], x + i * a - j * b, y + i * b + j * a))
-        scores.append(_narrow_scores(side, narrowed(stepped, drop), drop))
-    return np.stack(scores, axis=1)
-
-
-def _moved_neighbourhood(side: ScoredSide) -> tuple[F64, int]:
-    """Return the motions (6, P) of points about their middle; see ``narrow_motions``."""
-    return narrow_motions(side.points, side.motions, 2.0 * np.abs(side.motions[4:]).max(initial=0))
 
 
 def _pose_counts(side: CountedSide, limits2: Sequence[int]) -> I64:
@@ -184,19 +162,23 @@ def _side_terms(
     return out
 
 
-def _start_scores(
-    device: OpenCLDevice, side: ScoredSide, kernel: str, *motions: Any
-) -> DeviceArray[np.int32]:
-    """Start to score one side; return (chunks, ...) sums, one row for each chunk of points."""
-    points, n = side.points, side.motions.shape[1]
-    chunks = -(-points.count // CHUNK_SCORED)
-    shape = (chunks, n) if kernel == "pose_scores" else (chunks, n, NEIGHBOURS)
-    partial = device.empty(shape, np.int32)
-    device.launch(
-        kernel, (chunks * n,), points.planes, points.count, points.stride, *motions, side.field,
-        *side.field.shape, side.base, CHUNK_SCORED, chunks, partial,
-    )  # fmt: skip
-    return partial
+def _scores(
+    device: OpenCLDevice, kernel: str, shape: tuple[int, ...], sides: Sequence[ScoredSide]
+) -> list[I32]:
+    """Launch a kernel for each side, and return its (P, ...) scores."""
+    started = []
+    for points, motions, field, base in sides:
+        moved, drop = narrow_motions(points, motions)
+        n, chunks = moved.shape[1], -(-points.count // CHUNK_SCORED)
+        partial = device.empty((chunks, n, *shape), np.int32)
+        device.launch(
+            kernel, (chunks * n,), points.planes, points.count, points.planes.shape[1],
+            device.upload(moved.astype(np.int64)), n, drop, FIXED_TO_CELL_SHIFT - drop, field,
+            *field.shape, base, CHUNK_SCORED, chunks, partial,
+        )  # fmt: skip
+        started.append(partial)
+    # All are started before the first is waited for.
+    return [device.download(sums).sum(axis=0, dtype=np.int32) for sums in started]
 
 
 class SearchDevice(ArrayDevice):
@@ -358,21 +340,17 @@ class SearchDevice(ArrayDevice):
             self.opencl.launch("tile_peaks", size, forward, backward, *sizes, best, where)
             return self.download(best), self.download(where)
         forward, backward = host(forward), host(backward)
-        tile = SHIFT_TILE
         total = forward[:, :, :width] + backward[:, ::-1, width - 1 :: -1]
         count, height, _ = total.shape
-        tiles_y, tiles_x = -(-height // tile), -(-width // tile)
-        values = np.empty((count, tiles_y, tiles_x), dtype=np.int32)
-        places = np.empty_like(values)
-        for ty in range(tiles_y):
-            for tx in range(tiles_x):
-                part = total[:, ty * tile : (ty + 1) * tile, tx * tile : (tx + 1) * tile]
-                flat = part.reshape(count, -1)
-                best = flat.argmax(axis=1)
-                row, col = np.divmod(best, part.shape[2])
-                values[:, ty, tx] = flat[np.arange(count), best]
-                places[:, ty, tx] = (ty * tile + row) * width + tx * tile + col
-        return values, places
+        tile = SHIFT_TILE
+        rows, cols = -(-height // tile), -(-width // tile)
+        margins = ((0, 0), (0, rows * tile - height), (0, cols * tile - width))
+        tiles = np.pad(total, margins, constant_values=-1).reshape(count, rows, tile, cols, tile)
+        tiles = tiles.swapaxes(2, 3).reshape(count, rows, cols, tile * tile)
+        best = tiles.argmax(axis=3)
+        row = np.arange(rows)[:, None] * tile + best // tile
+        places = row * width + np.arange(cols) * tile + best % tile
+        return tiles.max(axis=3), places.astype(np.int32)
 
     def pose_counts(self, *sides: CountedSide, limits2: Sequence[int] = ()) -> list[I64]:
         """Return what the points of each side meet under each of its motions.
@@ -403,35 +381,26 @@ class SearchDevice(ArrayDevice):
 
         In 32 bits: see ``narrow_motions``.
         """
-        if not self.opencl:
-            return [_pose_scores(side) for side in sides]
-        # All are started before the first is waited for.
-        started = []
-        for side in sides:
-            moved, drop = narrow_motions(side.points, side.motions)
-            poses = self.upload(narrowed(moved, drop))
-            numbers = (poses, moved.shape[1], FIXED_TO_CELL_SHIFT - drop)
-            started.append(_start_scores(self.opencl, side, "pose_scores", *numbers))
-        return [self._sum_of_chunks(sums) for sums in started]
+        if self.opencl:
+            return _scores(self.opencl, "pose_scores", (), sides)
+        return [_narrow_scores(side, *narrow_motions(side.points, side.motions)) for side in sides]
 
     def neighbour_scores(self, *sides: ScoredSide) -> list[I32]:
         """Return of each side (P, 9) the scores of its motions, shifted by ``NEIGHBOUR_STEPS``.
 
         As ``pose_scores`` of nine times as many motions, of which nine share a turn.
         """
-        if not self.opencl:
-            return [_neighbour_scores(side) for side in sides]
-        started = []
+        if self.opencl:
+            return _scores(self.opencl, "neighbour_scores", (NEIGHBOURS,), sides)
+        found = []
         for side in sides:
-            moved, drop = _moved_neighbourhood(side)
-            motions = self.upload(moved.astype(np.int64))
-            numbers = (motions, moved.shape[1], drop, FIXED_TO_CELL_SHIFT - drop)
-            started.append(_start_scores(self.opencl, side, "neighbour_scores", *numbers))
-        return [self._sum_of_chunks(sums) for sums in started]
-
-    def _sum_of_chunks(self, sums: DeviceArray[np.int32]) -> I32:
-        parts = self.download(sums)
-        return parts[0] if len(parts) == 1 else np.asarray(parts.sum(axis=0, dtype=np.int32))
+            (cos, sin, x, y, a, b), drop = narrow_motions(side.points, side.motions)
+            stepped = (
+                np.stack((cos, sin, x + i * a - j * b, y + i * b + j * a))
+                for i, j in NEIGHBOUR_STEPS
+            )
+            found.append(np.stack([_narrow_scores(side, each, drop) for each in stepped], axis=1))
+        return found
 
     def refine_terms(
         self, forward: FitSide, backward: FitSide, motions: F32, centre: tuple[float, float]

@@ -32,7 +32,7 @@ from slamfusion.align.records import Alignment
 from slamfusion.align.search import SearchResult
 from slamfusion.align.shifts import parallel_shifts
 from slamfusion.config import AlignConfig
-from slamfusion.geometry import Pose2, pose_of, row_of
+from slamfusion.geometry import F64, Pose2, pose_of, row_of
 from slamfusion.pose_graph import PoseGraph, optimize
 from slamfusion.pose_graph.uncertainty import inverted, moved
 
@@ -126,7 +126,7 @@ class GroupSearch:
         self.graph = AlignmentGraph(tuple(features))
         self.found: dict[Key, Alignment] = {}
         self.words: dict[Key, str] = {}
-        self.ground = {name: _Ground(item) for name, item in features.items()}
+        self.ground = {name: _ground(item) for name, item in features.items()}
 
     def run(self) -> tuple[list[MapGroup], list[Alignment]]:
         """Return every group, single maps too, the largest first, and every examined pair.
@@ -266,7 +266,12 @@ class GroupSearch:
         """Return how much of the smaller map's ground lies in the other's box, 0..1."""
         if self.features[a].known_cells < self.features[b].known_cells:
             a, b, transform = b, a, transform.inverse()
-        return self.ground[a].share_of(self.ground[b], transform)
+        still, points = self.features[a].grid, self.ground[b]
+        row, col = still.grid.cell_indices(transform.transform(points))
+        height, width = still.shape
+        inside = (row >= 0) & (row < height) & (col >= 0) & (col < width)
+        known = np.count_nonzero(still.cells[row[inside], col[inside]] >= 0)
+        return known / max(1, len(points))
 
     def _is_accepted(self, key: Key) -> bool:
         """Whether two maps were aligned in full, and it was accepted."""
@@ -316,29 +321,14 @@ class GroupSearch:
         return shift <= CLOSURE_CELLS * parts and turn <= CLOSURE_YAW_RAD * parts
 
 
-class _Ground:
-    """Points of the known ground of a map, and where its box lies."""
-
-    def __init__(self, features: GridFeatures) -> None:
-        grid = features.grid.grid
-        height, width = grid.cells.shape
-        rows, cols = (
-            np.linspace(0.0, side - 1.0, min(side, GROUND_POINTS)).round().astype(np.int64)
-            for side in (height, width)
-        )
-        known = np.argwhere(features.grid.cells[np.ix_(rows, cols)] >= 0)
-        self.points = grid.cell_centres(rows[known[:, 0]], cols[known[:, 1]])
-        self.grid, self.cells = grid, features.grid.cells
-
-    def share_of(self, moving: _Ground, transform: Pose2) -> float:
-        """Return the share of another map's ground that this one knows too, 0..1."""
-        if not len(moving.points):
-            return 0.0
-        row, col = self.grid.cell_indices(transform.transform(moving.points))
-        height, width = self.cells.shape
-        inside = (row >= 0) & (row < height) & (col >= 0) & (col < width)
-        known = self.cells[row[inside], col[inside]] >= 0
-        return float(np.count_nonzero(known)) / len(moving.points)
+def _ground(features: GridFeatures) -> F64:
+    """Return (N, 2) points spread over the known ground of a map, metres."""
+    rows, cols = (
+        np.linspace(0.0, side - 1.0, min(side, GROUND_POINTS)).round().astype(np.int64)
+        for side in features.shape
+    )
+    known = np.argwhere(features.grid.cells[np.ix_(rows, cols)] >= 0)
+    return features.grid.grid.cell_centres(rows[known[:, 0]], cols[known[:, 1]])
 
 
 @dataclass(frozen=True)

@@ -7,11 +7,12 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
+from functools import partial
 from statistics import median
 
 import numpy as np
-import numpy.typing as npt
 
+from slamfusion.align.align import align_pair
 from slamfusion.align.answer import rejected_alignment
 from slamfusion.align.features import GridFeatures
 from slamfusion.align.pair import Pair
@@ -21,7 +22,7 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.config import SMALLEST, FusionConfig
 from slamfusion.errors import AlignmentError, ConfigError
 from slamfusion.fusion.grouping import Candidate, GroupSearch, MapGroup, placed, rank_pairs
-from slamfusion.fusion.pair_tasks import AlignmentTasks, PairSettings
+from slamfusion.fusion.pair_tasks import AlignmentTasks
 from slamfusion.geometry import Pose2, wrap_angles
 from slamfusion.io.files import return_freed_memory
 
@@ -156,8 +157,8 @@ class _Aligner:
         self.progress, self.second_look, self.starts = progress, second_look, starts
         self.is_thorough, self.last = count <= THOROUGH_PAIRS, next(reversed(features), "")
         self.done, self.steps = 0, count if self.is_thorough else len(features) - 1
-        settings = PairSettings(config.align, count, self.is_thorough)
-        self.tasks = AlignmentTasks(executor, settings, device)
+        align = partial(align_pair, config=config.align, pairs=count, thorough=self.is_thorough)
+        self.tasks = AlignmentTasks(executor, align)
 
     def tell(self, what: str, done: int) -> None:
         """Report the stage and the number of alignments done."""
@@ -329,14 +330,6 @@ def _rank(pair: Alignment) -> int:
     return (None, "weak", "fair", "strong").index(pair.strength)
 
 
-def _turned(profile: npt.NDArray[np.float64] | None) -> npt.NDArray[np.float64] | None:
-    """Return a yaw profile as the inverse transform sees it."""
-    if profile is None:
-        return None
-    turned = profile * np.array([-1.0, 1.0])
-    return np.asarray(turned[np.argsort(turned[:, 0])])
-
-
 def _own(features: GridFeatures) -> Alignment:
     """Return the reference's own record."""
     record = rejected_alignment(Pair(features, features), "the reference", 0.0)
@@ -367,14 +360,16 @@ def _from_the_side_of(name: str, pair: Alignment) -> Alignment:
     """Return the pair with ``name`` as the moving grid; scores are symmetric, the error is not."""
     if pair.moving == name:
         return pair
-    runner_up = pair.runner_up
+    runner_up, profile = pair.runner_up, pair.yaw_profile
     if runner_up is not None:
         runner_up = replace(runner_up, transform=runner_up.transform.inverse())
+    if profile is not None:
+        profile = (profile * (-1.0, 1.0))[np.argsort(-profile[:, 0])]
     return replace(
         pair,
         reference=pair.moving,
         moving=name,
         transform=pair.transform.inverse(),
         runner_up=runner_up,
-        yaw_profile=_turned(pair.yaw_profile),
+        yaw_profile=profile,
     )

@@ -10,18 +10,16 @@ from __future__ import annotations
 import math
 import pickle
 import zlib
+from collections.abc import Callable
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
-from dataclasses import dataclass
 from functools import lru_cache
 
-from slamfusion.align.align import align_pair
 from slamfusion.align.features import GridFeatures
 from slamfusion.align.normalize import NormalizedGrid
 from slamfusion.align.pair import Pair
 from slamfusion.align.records import Alignment
 from slamfusion.align.starts import StartPose
 from slamfusion.compute import ComputeDevice
-from slamfusion.config import AlignConfig
 from slamfusion.fleet import tasks_ahead
 
 # Half of an alignment is the host's, so a second thread keeps the device busy.
@@ -32,23 +30,17 @@ KEPT_CELLS = 1 << 20
 Packed = tuple[bytes, bool]
 
 
-@dataclass(frozen=True)
-class PairSettings:
-    """Common settings of the alignments of one job; see ``align_pair``."""
-
-    config: AlignConfig
-    pairs: int
-    thorough: bool
-
-
 class AlignmentTasks:
     """Alignments of pairs of maps by an executor, or by threads; each pair is aligned once."""
 
-    def __init__(
-        self, executor: Executor | None, settings: PairSettings, device: ComputeDevice
-    ) -> None:
-        """Start without tasks; without an executor two threads align small maps."""
-        self._executor, self._settings, self._device = executor, settings, device
+    def __init__(self, executor: Executor | None, align: Callable[..., Alignment]) -> None:
+        """Start without tasks.
+
+        Args:
+            executor: None: two threads, on the device of the maps.
+            align: called with a pair and its ``start``; ``align_pair`` with its settings.
+        """
+        self._executor, self._align = executor, align
         self._threads = ThreadPoolExecutor(THREADS)
         self._packed: dict[str, Packed] = {}
         self._tasks: dict[tuple[str, str], Future[Alignment]] = {}
@@ -76,11 +68,12 @@ class AlignmentTasks:
         key = pair.reference.grid.name, pair.moving.grid.name
         if key not in self._tasks:
             if self._executor is None:
-                task = self._threads.submit(_align, pair, start, self._settings)
+                task = self._threads.submit(self._align, pair, start=start)
             else:
                 one, other = (self._pack(features.given) for features in pair)
-                more = start, self._settings, self._device
-                task = self._executor.submit(align_packed, one, other, *more)
+                task = self._executor.submit(
+                    align_packed, one, other, start, self._align, pair.device
+                )
             self._tasks[key] = task
         return self._tasks[key]
 
@@ -98,17 +91,11 @@ def align_packed(
     reference: Packed,
     moving: Packed,
     start: StartPose | None,
-    settings: PairSettings,
+    align: Callable[..., Alignment],
     device: ComputeDevice,
 ) -> Alignment:
-    """Align two packed grids; see ``align_pair``."""
-    return _align(Pair(_features(reference, device), _features(moving, device)), start, settings)
-
-
-def _align(pair: Pair, start: StartPose | None, settings: PairSettings) -> Alignment:
-    return align_pair(
-        pair, settings.config, start, pairs=settings.pairs, thorough=settings.thorough
-    )
+    """Align two packed grids."""
+    return align(Pair(_features(reference, device), _features(moving, device)), start=start)
 
 
 def _features(packed: Packed, device: ComputeDevice) -> GridFeatures:

@@ -74,5 +74,5 @@ def searched(
 ) -> tuple[npt.NDArray[np.float64], tuple[Side, Side]]:
     """Return the motion that the search puts first, and both maps."""
     a, b = (features_of(grid, device) for grid in (reference, moving))
-    _, motions, _ = search(Pair(a, b), AlignConfig(), SearchWindow())
+    _, motions = search(Pair(a, b), AlignConfig(), SearchWindow())
     return motions[0], (side_of(a, SIGMA, TOP), side_of(b, SIGMA, TOP))

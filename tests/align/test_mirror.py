@@ -52,7 +52,7 @@ def test_the_image_of_a_mirrored_map_is_the_map(device: ComputeDevice) -> None:
     wrong = features_of(mirrored(trio()["b"]), device)
     gains = []
     for moving in (b, wrong):
-        _, motions, _ = search(Pair(a, moving), CONFIG, SearchWindow())
+        _, motions = search(Pair(a, moving), CONFIG, SearchWindow())
         gain = mirror_gain(Pair(a, moving), motions[0], CONFIG)
         assert gain is not None
         gains.append(gain)

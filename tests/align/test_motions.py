@@ -38,7 +38,7 @@ def test_distinct_equals_the_greedy_definition(
     motions = np.array(
         [(0.5 * x, 0.5 * y, 3.0 + 0.02 * yaw + 2 * math.pi * turns) for x, y, yaw, turns in steps]
     ).reshape(-1, 3)
-    found = distinct(motions, SHIFT, TURN, most)
+    found = motions[distinct(motions, SHIFT, TURN, most)]
     assert found.shape[1:] == (3,)
     assert found.tolist() == greedy(motions, most)
 
@@ -51,8 +51,8 @@ def moved(way: np.ndarray, points: np.ndarray) -> np.ndarray:
 
 def test_distinct_keeps_the_better_of_near_ones() -> None:
     motions = np.array([[0.0, 0, 0], [2.0, 0, 0.01], [2.0, 0, 0.5], [9.0, 0, 0], [9.5, 0, 0]])
-    assert distinct(motions, 3.0, 0.1).tolist() == motions[[0, 2, 3]].tolist()
-    assert distinct(motions, 3.0, 0.1, 2).tolist() == motions[[0, 2]].tolist()
+    assert distinct(motions, 3.0, 0.1).tolist() == [0, 2, 3]
+    assert distinct(motions, 3.0, 0.1, 2).tolist() == [0, 2]
 
 
 def test_the_ways_land_the_centre_and_undo_each_other() -> None:

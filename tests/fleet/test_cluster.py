@@ -9,6 +9,7 @@ import signal
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor
+from functools import partial
 from importlib.util import find_spec
 from typing import Any
 
@@ -23,7 +24,7 @@ from slamfusion.compute import ComputeDevice, open_device, shared_device
 from slamfusion.config import AlignConfig, FusionConfig, RunConfig, VoteConfig
 from slamfusion.errors import ConfigError, FleetError
 from slamfusion.fleet import THREAD_VARIABLES, as_done, executor_for, tasks_ahead
-from slamfusion.fusion.pair_tasks import AlignmentTasks, PairSettings
+from slamfusion.fusion.pair_tasks import AlignmentTasks
 from slamfusion.jobs.fuse import fuse_maps
 from slamfusion.json_values import record_keys
 from slamfusion.version import __version__
@@ -89,17 +90,17 @@ def test_another_client_finds_the_scheduler_by_its_address(cluster: Executor) ->
 def test_a_killed_worker_costs_a_retry_and_not_a_byte(
     cluster: Executor, device: ComputeDevice
 ) -> None:
-    settings = PairSettings(AlignConfig(), 21, thorough=False)
+    align = partial(align_pair, config=AlignConfig(), pairs=21, thorough=False)
     grids = [normalize_grid(grid, 0.05, CONFIG.fusion.normalize, device) for grid in SITE[:5]]
     features = [GridFeatures(grid, device) for grid in grids]
-    tasks = AlignmentTasks(cluster, settings, device)
+    tasks = AlignmentTasks(cluster, align)
     for moving in features[1:]:
         tasks.begin(Pair(features[0], moving), None)
     killed = cluster.submit(os.getpid).result()
     os.kill(killed, signal.SIGKILL)
     for moving in features[1:]:
         found = tasks.result(Pair(features[0], moving), None)
-        wanted = align_pair(Pair(features[0], moving), settings.config, pairs=21, thorough=False)
+        wanted = align(Pair(features[0], moving))
         assert record_keys(found) == {**record_keys(wanted), "time_s": found.time_s}
     # Kernels are built once a worker, whatever it was asked.
     asked = [cluster.submit(process_and_devices) for _ in range(8)]

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 from concurrent.futures import Executor, Future
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -17,10 +18,10 @@ from slamfusion.align.normalize import normalize_grid
 from slamfusion.align.pair import Pair
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import AlignConfig, NormalizeConfig
-from slamfusion.fusion.pair_tasks import AlignmentTasks, PairSettings
+from slamfusion.fusion.pair_tasks import AlignmentTasks
 from tests.support.sites import RESOLUTION, many_maps
 
-SETTINGS = PairSettings(AlignConfig(), 21, thorough=False)
+ALIGN = partial(align_pair, config=AlignConfig(), pairs=21, thorough=False)
 GRIDS = many_maps(7, 0, 200).grids
 
 
@@ -45,18 +46,16 @@ class Noting(Executor):
         return future
 
 
-def test_an_alignment_of_a_task_is_that_of_this_process(
-    features: list[GridFeatures], device: ComputeDevice
-) -> None:
+def test_an_alignment_of_a_task_is_that_of_this_process(features: list[GridFeatures]) -> None:
     executor = Noting(1)
-    tasks = AlignmentTasks(executor, SETTINGS, device)
+    tasks = AlignmentTasks(executor, ALIGN)
     given = Pair(features[0], features[1]), None
     found = tasks.result(*given)
     assert tasks.result(*given) is found
     assert len(executor.packed) == 1
     (data, _), _ = executor.packed[0]
     assert len(data) < 0.2 * 3 * math.prod(features[0].shape)  # a grid travels small
-    wanted = align_pair(Pair(features[0], features[1]), SETTINGS.config, pairs=21, thorough=False)
+    wanted = ALIGN(Pair(features[0], features[1]))
     assert replace(found, time_s=0.0, yaw_profile=None) == replace(
         wanted, time_s=0.0, yaw_profile=None
     )

@@ -40,8 +40,8 @@ class RememberedSearches:
         if key not in self._answers:
             self.made += 1
             self._answers[key] = search(pair, config, window, chance)
-        coarse, motions, scores = self._answers[key]
-        return coarse, motions.copy(), scores.copy()
+        coarse, motions = self._answers[key]
+        return coarse, motions.copy()
 
     def forget(self) -> None:
         """Make every search anew."""
