@@ -80,7 +80,7 @@ class SlamProducer(ProducerResult):
     """The producer of ``slamfusion slam``."""
 
     resumed_from: Path | None
-    """The state that it was resumed from; null: it began afresh."""
+    """The state that it was resumed from; null: it started without one."""
     state_file: Path | None = None
     """The file that its state was saved to."""
 

@@ -88,7 +88,7 @@ class StateKeeper:
             except OSError as failure:
                 problem = f"{path}: {error}, and it cannot be moved aside ({failure.strerror})"
             else:
-                text = f"{path}: {error}; it is {aside.name!r} now, and a new fused frame begins"
+                text = f"{path}: {error}; it is {aside.name!r} now, and a new fused frame starts"
                 diagnostics.say("state", text, Level.WARN, STATE_SHOWN_S)
                 return
         except (OSError, SlamFusionError) as error:
@@ -101,7 +101,7 @@ class StateKeeper:
         self._returning = {*names} & {*self.restored.transforms}
         text = (
             f"restored from {str(path)!r} of {when.isoformat(' ', 'seconds')}, no input confirmed "
-            "yet; reset begins a new fused frame"
+            "yet; reset starts a new fused frame"
         )
         diagnostics.say("restored", text)
 

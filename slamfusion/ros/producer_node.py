@@ -282,7 +282,7 @@ class ProducerNode(NodeBase):
             "sweep [ms]": 1e3 * snapshot.deskewing.sweep_s,
             "largest turn in a sweep [deg]": math.degrees(snapshot.deskewing.largest_turn_rad),
             "maps published": drawn.maps,
-            "maps begun anew": scans.jumps_back,
+            "maps restarted": scans.jumps_back,
             "match score": health.match_score,
             "mean match score": health.mean_match_score,
             "low scores": health.low_scores,

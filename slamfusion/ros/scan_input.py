@@ -277,7 +277,7 @@ class ScanInput:
         if passed.jump is not None and passed.jump.is_back:
             self.jumps_back += 1
             diagnostics.clear("back")
-            diagnostics.note("back", f"{text}: a new map begins")
+            diagnostics.note("back", f"{text}: a new map starts")
         elif after_s > before_s + FORWARD_JUMP_S:
             diagnostics.note("forward", text)
 

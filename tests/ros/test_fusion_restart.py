@@ -103,7 +103,7 @@ def test_a_state_that_cannot_be_used_is_named_and_never_written_over(
     damaged.write_bytes(whole)
     start_fusion(processes, state_path=str(damaged))
     nowhere = start_fusion(processes, "-r", "__node:=third", state_path=str(absent / "state"))
-    observer.wait_status(FUSION, "all 3 inputs vote", "digest", "a new fused frame begins")
+    observer.wait_status(FUSION, "all 3 inputs vote", "digest", "a new fused frame starts")
     observer.wait(damaged.exists, what="the new state")
     assert (tmp_path / "damaged.unusable").read_bytes() == whole
     assert nowhere.wait() == 1

@@ -274,7 +274,7 @@ def test_time_that_jumps_back_begins_a_new_map(processes: Processes, observer: O
     status = observer.wait_status("tinyslam: slam", "scans jumped back by 50.400 s", "new map")
     # On such a one scans may be missed by now.
     assert status.level in {DiagnosticStatus.WARN, DiagnosticStatus.STALE}
-    assert values(status)["maps begun anew"] == "1"
+    assert values(status)["maps restarted"] == "1"
     robot.drive(late[3:], poses)
     message = wait_for_last_map(observer, maps, late[-1].scan.stamp_s)
     assert_same_map(message, offline("tinyslam", as_sent(late)))
@@ -284,7 +284,7 @@ def test_time_that_jumps_back_begins_a_new_map(processes: Processes, observer: O
         robot.send(moved_by(late[-1], offset_s))
     robot.drive([moved_by(late[-1], 20.2)], poses)
     status = observer.wait_status("tinyslam: slam", "scans jumped forward by 20.000 s")
-    assert values(status)["maps begun anew"] == "1"
+    assert values(status)["maps restarted"] == "1"
 
 
 def test_one_stray_stamp_takes_no_map_away(processes: Processes, observer: Observer):
@@ -311,7 +311,7 @@ def test_one_stray_stamp_takes_no_map_away(processes: Processes, observer: Obser
         "odometry (or another transform) is left out: its stamp is far",
     )
     found = values(status)
-    assert found["maps begun anew"] == "0"
+    assert found["maps restarted"] == "0"
     assert found["left out: a stamp far from those before and after it"] == "3"
     assert found["odometry with a stray stamp"] == "1"
     assert found["scans fed"] == str(COUNT)
@@ -341,7 +341,7 @@ def test_scans_whose_time_jumps_without_their_odometry_are_left_out_and_named(
     status = observer.wait(named, what="the word of the odometry")
     assert status.level == DiagnosticStatus.ERROR
     assert "they are left out, and the map stays; check the clocks of both" in status.message
-    assert values(status)["maps begun anew"] == "0"
+    assert values(status)["maps restarted"] == "0"
     assert values(status)["scans fed"] == "20"
 
 

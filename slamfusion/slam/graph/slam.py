@@ -166,7 +166,7 @@ class GraphSlam(SavedMapper):
     def _begin_component(self, seen: Observation, local: Pose2) -> Step:
         """Start a map component for a kidnapped robot; the old ones stay as they are."""
         self.health.kidnappings += 1
-        reason = "the robot is lost: a new submap begins, placed by odometry alone"
+        reason = "the robot is lost: a new submap starts, placed by odometry alone"
         self.health.skips.add(reason, self.health.scans)
         self._loops.kidnapped()
         return self._begin_again(seen, local, max(self._local_map.components) + 1)

@@ -169,7 +169,7 @@ def test_a_robot_that_is_carried_to_a_new_place_begins_a_part_of_its_own(trip: T
     assert trip.health[:3] == (1, 0, 2)
     assert trip.health[3] > 60
     reasons = trip.slam.health.skips.counts
-    assert reasons["the robot is lost: a new submap begins, placed by odometry alone"] == 1
+    assert reasons["the robot is lost: a new submap starts, placed by odometry alone"] == 1
 
 
 def test_the_way_back_to_the_old_map_joins_both(trip: Trip):
