@@ -8,18 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from slamfusion.cli import options
+from slamfusion.cli import options, results, tables
 from slamfusion.cli.help import Command
 from slamfusion.cli.output import NOTHING, is_verbose, notice, print_json, print_table, progress_bar
 from slamfusion.cli.paths import CASE_MAP
-from slamfusion.cli.results import (
-    print_items,
-    print_repetitions,
-    results_option,
-    save_results,
-    table_option,
-)
-from slamfusion.cli.tables import print_evaluations, tell_left_out, tell_unaligned
 from slamfusion.config import RunConfig
 from slamfusion.jobs.cases import CaseFile, case_names, place_files
 from slamfusion.jobs.documents import number
@@ -83,8 +75,8 @@ def _image_files(image: Path, given: Mapping[str, Any]) -> list[Path]:
     "fusion.normalize", "fusion.align", "map_files", "evaluate", "report", "device", ""
 )
 @options.common
-@results_option
-@table_option
+@results.results_option
+@results.table_option
 def command(
     config: RunConfig,
     maps: tuple[CaseFile, ...],
@@ -139,9 +131,9 @@ def command(
     given = {"maps": maps, "truths": truths}
     found.write(report_dir, [] if image_path is None else _image_files(image_path, given))
     evaluations = [item.evaluation for item in found.maps]
-    tell_unaligned(evaluations)
+    tables.tell_unaligned(evaluations)
     rows = found.rows()
-    save_results(
+    results.save_results(
         results_path,
         found,
         [*rows, *found.distance_rows()],
@@ -151,10 +143,10 @@ def command(
         print_json(found)
         return 0
     if len(truths) > 1:
-        print_items(rows, "map", ("error", "wall_f1"))
+        results.print_items(rows, "map", ("error", "wall_f1"))
     elif evaluations:
-        print_evaluations(evaluations)
-        print_repetitions(rows, "map")
+        tables.print_evaluations(evaluations)
+        results.print_repetitions(rows, "map")
     for comparison in found.distances:
         _print_distances(comparison)
     return 0
@@ -167,7 +159,7 @@ def _compare(grids: Sequence[OccupancyGrid], config: RunConfig, as_json: bool) -
     device = device_for(config)
     with progress_bar() as progress:
         result = compare_maps(grids, config, device, progress=progress)
-    tell_left_out(result)
+    tables.tell_left_out(result)
     items = agreement_items(result)
     if as_json:
         document = EvaluatedMaps(

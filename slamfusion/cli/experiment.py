@@ -10,11 +10,10 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from slamfusion.cli import options
+from slamfusion.cli import options, results
 from slamfusion.cli.help import Group
 from slamfusion.cli.output import notice, print_json, print_table, progress_bar
 from slamfusion.cli.paths import CASE_MAP, FILE, InputPath
-from slamfusion.cli.results import results_option, save_results, table_option
 from slamfusion.config import PICTURE_FORMS, RunConfig
 from slamfusion.errors import ConfigError, SlamFusionError
 from slamfusion.jobs.cases import CaseFile
@@ -70,7 +69,7 @@ def _experiment(*sections: str) -> Callable[[Callable[..., Experiment]], Callabl
                 found = function(setup, **given)
             files = found.write(folder, config.report.pictures)
             document = found.document(files, config, device.name)
-            save_results(results_path, document, found.rows, lambda: found.read)
+            results.save_results(results_path, document, found.rows, lambda: found.read)
             if as_json:
                 print_json(document)
             else:
@@ -82,7 +81,9 @@ def _experiment(*sections: str) -> Callable[[Callable[..., Experiment]], Callabl
                 raise SlamFusionError(found.failure)
             return 0
 
-        command = options.settings(*sections)(options.common(results_option(table_option(run))))
+        command = options.settings(*sections)(
+            options.common(results.results_option(results.table_option(run)))
+        )
         return options.output(
             "-o",
             "--output",

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from slamfusion.cli import options
+from slamfusion.cli import options, tables
 from slamfusion.cli.help import Choice, Command, Number
 from slamfusion.cli.output import (
     is_verbose,
@@ -21,13 +21,6 @@ from slamfusion.cli.output import (
 )
 from slamfusion.cli.paths import MAP, stem_of
 from slamfusion.cli.results import table_option
-from slamfusion.cli.tables import (
-    print_evaluations,
-    print_fusion,
-    print_pairs,
-    tell_left_out,
-    tell_unaligned,
-)
 from slamfusion.config import RunConfig
 from slamfusion.errors import AlignmentError
 from slamfusion.jobs.inputs import LIKE_PAPER, GivenMaps, PixelSizes, device_for
@@ -175,7 +168,7 @@ def command(
             given = GivenMaps.of(maps, resolution)
             print_json(FuseDocument.failed(error, circumstances, given))
         else:
-            print_pairs(error.pairs, device.name)
+            tables.print_pairs(error.pairs, device.name)
         raise
     stem = stem_of(out, {".yaml", ".yml", STORE_END})
     document = (
@@ -183,7 +176,7 @@ def command(
         if store
         else save_fused_maps(fused, stem, report=report_dir, image_format=image_format)
     )
-    tell_left_out(fused.result)
+    tables.tell_left_out(fused.result)
     for path, own in zip(fused.stores, fused.stems, strict=True):
         if own is None:
             notice(f"{path}: too large for a map server; its files are not written")
@@ -197,15 +190,15 @@ def command(
 
 
 def _print_result(fused: FusedMaps, stem: Path, report_dir: Path | None) -> None:
-    print_fusion(fused.result, fused.doubled, fused.config.fusion.reference)
+    tables.print_fusion(fused.result, fused.doubled, fused.config.fusion.reference)
     print()
     for path, own in zip(fused.stores, fused.stems, strict=True):
         print_facts(("fused map", path if own is None else f"{path}, {own}.yaml"))
     if fused.stores:
         return
     if fused.evaluations:
-        tell_unaligned(fused.evaluations)
-        print_evaluations(fused.evaluations)
+        tables.tell_unaligned(fused.evaluations)
+        tables.print_evaluations(fused.evaluations)
     others = fused.result.others
     _, *stems = group_stems(stem, 1 + len(others))
     quoted = shlex.quote(f"{stem}.yaml")

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from slamfusion.cli import options
+from slamfusion.cli import options, results
 from slamfusion.cli.help import Command
 from slamfusion.cli.output import (
     NOTHING,
@@ -20,13 +20,6 @@ from slamfusion.cli.output import (
     progress_bar,
 )
 from slamfusion.cli.paths import CASE_FILE
-from slamfusion.cli.results import (
-    print_items,
-    print_repetitions,
-    results_option,
-    save_results,
-    table_option,
-)
 from slamfusion.cli.tables import path_table, print_recommendation
 from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
@@ -70,8 +63,8 @@ def _report_folders(folder: Path, given: Mapping[str, Any]) -> list[Path]:
 @options.report("report_dir", _report_folders)
 @options.settings("log", "trajectory", "report", "device", "")
 @options.common
-@results_option
-@table_option
+@results.results_option
+@results.table_option
 def command(
     config: RunConfig,
     log: CaseFile,
@@ -153,16 +146,16 @@ def command(
     document = (
         judgements_document(found, rows) if several else JudgeDocument(first, first.circumstances)
     )
-    save_results(results_path, document, rows, lambda: measured_inputs(placed, known))
+    results.save_results(results_path, document, rows, lambda: measured_inputs(placed, known))
     if as_json:
         print_json(document)
     elif several:
-        print_items(rows, "path", ("consistency", "ate_rmse_m", "relations_mean_m"))
+        results.print_items(rows, "path", ("consistency", "ate_rmse_m", "relations_mean_m"))
         for case, own in found.items():
             print(f"{case}: {own.recommendation.headline}")
     else:
         _print(first)
-        print_repetitions(rows, "path")
+        results.print_repetitions(rows, "path")
     not_measured = [
         f"{case}: {sentence}" if several else sentence
         for case, own in found.items()

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from slamfusion.cli import options
+from slamfusion.cli import options, results, tables
 from slamfusion.cli.help import Command
 from slamfusion.cli.output import (
     Settings,
@@ -25,15 +25,6 @@ from slamfusion.cli.output import (
     say,
 )
 from slamfusion.cli.paths import CASE_FILE, FILE, MAP
-from slamfusion.cli.results import print_items, results_option, save_results, table_option
-from slamfusion.cli.tables import (
-    path_table,
-    print_evaluations,
-    print_fusion,
-    print_pairs,
-    print_recommendation,
-    tell_unaligned,
-)
 from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
 from slamfusion.jobs.documents import number
@@ -167,8 +158,8 @@ def _files(out: Path, given: Mapping[str, Any]) -> list[Path]:
     base=RUN_DEFAULTS,
 )
 @options.common
-@results_option
-@table_option
+@results.results_option
+@results.table_option
 def command(
     logs: tuple[Path, ...],
     out: Path,
@@ -222,7 +213,7 @@ def command(
             progress(REPORT, 0, 1)
             run = save_run(run, out, probabilities=probabilities)
     rows = run_rows(run, logs[0].stem) if results_path is not None else []
-    save_results(results_path, run, rows, lambda: _inputs(logs, asked))
+    results.save_results(results_path, run, rows, lambda: _inputs(logs, asked))
     _print(run, as_json=as_json)
     if is_opened:
         click.launch(str(run.report))
@@ -253,7 +244,7 @@ def _print(run: LogRun, *, as_json: bool) -> None:
 
 def _print_tables(run: LogRun) -> None:
     if run.recommendation is not None:
-        print_recommendation(run.recommendation)
+        tables.print_recommendation(run.recommendation)
         print()
     _print_slams(run)
     if is_verbose():
@@ -318,17 +309,17 @@ def _print_details(run: LogRun) -> None:
     for sentence in run.log_notes():
         say(f"the log: {sentence}")
     if run.usable is not None:
-        print_fusion(run.usable, run.fusion.doubled, run.made_with.config.fusion.reference)
+        tables.print_fusion(run.usable, run.fusion.doubled, run.made_with.config.fusion.reference)
         for gap in run.path_gaps:
             say(f"paths in the fused map: {gap.sentence()}")
         print()
     elif run.fusion.pairs:
-        print_pairs(run.fusion.pairs, run.made_with.device)
+        tables.print_pairs(run.fusion.pairs, run.made_with.device)
     if run.evaluations:
-        tell_unaligned(run.evaluations)
-        print_evaluations(run.evaluations)
+        tables.tell_unaligned(run.evaluations)
+        tables.print_evaluations(run.evaluations)
     if run.recommendation is not None and run.recommendation.paths:
-        columns, rows = path_table(run.recommendation)
+        columns, rows = tables.path_table(run.recommendation)
         print_table(columns, rows, title="How well the scans support each path")
     if run.fused_path is not None:
         trust = ", ".join(f"{name} {share:.2f}" for name, share in run.fused_path.trust.items())
@@ -398,13 +389,13 @@ def _run_several(
     document = RunsDocument(runs, SettingsUsed(config))
     rows = [row for run in runs for row in run.rows]
     logs = list(dict.fromkeys(task.log for task in tasks))
-    save_results(results_path, document, rows, lambda: _inputs(logs, asked))
+    results.save_results(results_path, document, rows, lambda: _inputs(logs, asked))
     if as_json:
         print_json(document)
     else:
         _print_logs(runs, out)
         if rows and tasks[0].seed is not None:
-            print_items(rows, "path", ("ate_rmse_m", "relations_mean_m", "error"))
+            results.print_items(rows, "path", ("ate_rmse_m", "relations_mean_m", "error"))
     reasons = []
     if failed := [f"{run.name}: {run.error}" for run in runs if run.error is not None]:
         words = "; ".join(failed)

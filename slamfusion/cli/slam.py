@@ -9,12 +9,11 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from slamfusion.cli import options
+from slamfusion.cli import options, tables
 from slamfusion.cli.help import Command, Number, ProducerGroup
 from slamfusion.cli.output import notice, print_facts, print_json, print_table, progress_bar
 from slamfusion.cli.paths import FILE, MAP, stem_of
 from slamfusion.cli.results import print_items, table_option
-from slamfusion.cli.tables import print_evaluations, print_measures, tell_unaligned
 from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
 from slamfusion.jobs.outputs import PAGE, SUFFIXES, output_files
@@ -205,7 +204,7 @@ def _print(result: ProducerResult, log: Path) -> None:
     for where, sentence in run_remarks(run):
         print(f"{where}: {sentence}")
     if result.measures.relations is not None or result.measures.truth is not None:
-        print_measures(run.trajectory, result.measures)
+        tables.print_measures(run.trajectory, result.measures)
     if result.map_error is not None:
-        tell_unaligned([result.map_error])
-        print_evaluations([result.map_error])
+        tables.tell_unaligned([result.map_error])
+        tables.print_evaluations([result.map_error])

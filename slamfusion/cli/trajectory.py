@@ -8,11 +8,10 @@ from typing import TYPE_CHECKING
 
 import click
 
-from slamfusion.cli import options
+from slamfusion.cli import options, results
 from slamfusion.cli.help import Command
 from slamfusion.cli.output import notice, print_json
 from slamfusion.cli.paths import CASE_FILE, MAP
-from slamfusion.cli.results import print_items, results_option, save_results, table_option
 from slamfusion.cli.tables import print_measures
 from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
@@ -76,8 +75,8 @@ def paths_in(item: CaseFile) -> list[CaseFile]:
 @options.report("report_dir")
 @options.settings("trajectory", "log", "map_files", "report")
 @options.common
-@results_option
-@table_option
+@results.results_option
+@results.table_option
 def command(
     config: RunConfig,
     estimates: tuple[CaseFile, ...],
@@ -135,13 +134,13 @@ def command(
     if not is_one:
         document = trajectories_document(found, not_measured, config)
     inputs = [own.placed for own in found]
-    save_results(results_path, document, rows, lambda: measured_inputs(inputs, known))
+    results.save_results(results_path, document, rows, lambda: measured_inputs(inputs, known))
     if as_json:
         print_json(document)
     elif is_one:
         print_measures(found[0].trajectory, found[0].measures)
     else:
-        print_items(rows, "path", ("ate_rmse_m", "relations_mean_m"))
+        results.print_items(rows, "path", ("ate_rmse_m", "relations_mean_m"))
     if not_measured:
         raise SlamFusionError("; ".join(not_measured))
     return 0
