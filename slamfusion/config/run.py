@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any, Literal, TypeAlias
 
@@ -157,23 +158,17 @@ def checked_start(given: Any, where: str) -> tuple[float, ...]:
     """
     parts = given.split(",") if isinstance(given, str) else given
     is_row = isinstance(parts, Sequence) and not isinstance(parts, bytes)
-    if not is_row or any(isinstance(part, bool) for part in parts):
-        raise StartError(f"{where}: wanted {START_FORM}, found {shown(given)}")
-    try:
-        values = tuple(
-            _yaw_rad(part) if place == YAW else float(part) for place, part in enumerate(parts)
-        )
-    except (TypeError, ValueError, OverflowError):
-        message = f"{where}: wanted {START_FORM}, all numbers, found {_shown(parts)}"
-        raise StartError(message) from None
-    if len(values) not in {POSE, POSE_AND_TOLERANCES}:
-        message = f"{where}: wanted {START_FORM}, found {len(values)} numbers: {_shown(parts)}"
-        raise StartError(message)
-    if not all(map(math.isfinite, values)):
-        raise StartError(f"{where}: wanted {START_FORM}, all finite, found {_shown(parts)}")
-    if any(value < 0.0 for value in values[POSE:]):
-        message = f"{where}: the tolerances must be at least 0, found {_shown(parts[POSE:])}"
-        raise StartError(message)
+    values: tuple[float, ...] = ()
+    if is_row and not any(isinstance(part, bool) for part in parts):
+        with suppress(TypeError, ValueError, OverflowError):
+            values = tuple(
+                _yaw_rad(part) if place == YAW else float(part) for place, part in enumerate(parts)
+            )
+    is_right = len(values) in {POSE, POSE_AND_TOLERANCES} and all(map(math.isfinite, values))
+    if not is_right or any(value < 0.0 for value in values[POSE:]):
+        found = ",".join(map(_shown, parts[:10])) if is_row else shown(given)
+        wanted = f"wanted {START_FORM}, all finite, tolerances from 0"
+        raise StartError(f"{where}: {wanted}; found {found}")
     return values
 
 
@@ -193,11 +188,8 @@ def _yaw_rad(given: Any) -> float:
     return float(given)
 
 
-def _shown(parts: Sequence[Any]) -> str:
-    return ",".join(
-        (" ".join(part.split()) if isinstance(part, str) else shown(part))[:40]
-        for part in parts[:10]
-    )
+def _shown(part: Any) -> str:
+    return (" ".join(part.split()) if isinstance(part, str) else shown(part))[:40]
 
 
 # Formats of pictures.
