@@ -45,8 +45,8 @@ _COUNT_MAX = 2.0**53
 class TinySlamDat(ScanLog):
     """A tinySLAM recording, plain or gzip.
 
-    The odometry starts at (0, 0, 0) and follows the wheels along exact arcs. Counters of ticks and
-    time that wrap at 16 or 32 bits are unwrapped. ``line`` is the line in the file, from 1.
+    The odometry starts at (0, 0, 0) and follows the wheels along exact arcs. ``line`` is the line
+    in the file, from 1.
 
     Raises:
         LogError: no line of the file is a scan.
@@ -59,9 +59,8 @@ class TinySlamDat(ScanLog):
         lines = parsed_lines(self.path, _parsed)
         rows = [values for _, _, values in lines if not isinstance(values, str)]
         table = np.array([values[[0, 2, 3]] for values in rows]).reshape(-1, 3)
-        stamps_s = _unwrapped(table[:, 0], _CLOCK_TURNS) * 1e-6
-        ticks = np.stack([_unwrapped(table[:, k], _TICK_TURNS) for k in (1, 2)], axis=1)
-        ways_m = np.diff(ticks, axis=0, prepend=ticks[:1]) * _METRES_PER_TICK
+        stamps_s = table[:, 0] * 1e-6
+        ways_m = np.diff(table[:, 1:], axis=0, prepend=table[:1, 1:]) * _METRES_PER_TICK
         pose, index = Pose2(), 0
         for number, _, values in lines:
             if isinstance(values, str):
@@ -126,20 +125,3 @@ def drive_arc(start: Pose2, left_m: float, right_m: float) -> Pose2:
         start.y + chord_m * math.sin(heading_rad),
         wrap_angle(start.yaw_rad + turn_rad),
     )
-
-
-# A counter may wrap at these counts, to 0 or to its negative half.
-_CLOCK_TURNS = (2.0**32,)
-_TICK_TURNS = (2.0**16, 2.0**32)
-
-
-def _unwrapped(counts: F64, turns: tuple[float, ...]) -> F64:
-    """Return the counts (N,) without wraps."""
-    raw, largest = np.diff(counts), np.maximum(np.abs(counts[1:]), np.abs(counts[:-1]))
-    steps = raw.copy()
-    for turn in reversed(turns):  # the shortest one that fits decides
-        # Half a turn within one scan is no motion (2^15 ticks are 8 m), but only a counter that
-        # stays within its turn can have wrapped.
-        has_wrapped = (np.abs(raw) > 0.5 * turn) & (np.abs(raw) < turn) & (largest < turn)
-        steps = np.where(has_wrapped, raw - np.copysign(turn, raw), steps)
-    return np.asarray(counts[:1] + np.concatenate((np.zeros(len(counts[:1])), np.cumsum(steps))))

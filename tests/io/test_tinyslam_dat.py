@@ -87,26 +87,6 @@ def test_a_wheel_that_stands_still_is_the_centre_of_the_circle() -> None:
     assert abs(pose.yaw_rad) == pytest.approx(math.pi)
 
 
-@pytest.mark.parametrize("turn", [2**16, 2**32])
-def test_ticks_that_wrap_do_not_jump(tmp_path: Path, turn: int) -> None:
-    ticks = [turn - 900, turn - 300, 300, 900, 300, turn - 300]
-    rows = [row(k, tick % turn, tick % turn) for k, tick in enumerate(ticks, start=1)]
-    xs = [pose.x / METRES_PER_TICK for pose in poses_of(log_of(tmp_path, *rows))]
-    assert xs == pytest.approx([0, 600, 1200, 1800, 1200, 600])
-
-
-def test_a_clock_of_32_bits_goes_on_after_its_wrap(tmp_path: Path) -> None:
-    log = log_of(tmp_path, row(2**32 - 50_000), row(50_000))
-    stamps = [scan.scan.stamp_s for scan in log]
-    assert stamps[1] - stamps[0] == pytest.approx(0.1)
-    assert log.skips.total == 0
-
-
-def test_a_clock_that_starts_at_0_does_not_wrap_at_16_bits(tmp_path: Path) -> None:
-    log = log_of(tmp_path, row(0), row(40_000), row(90_000))
-    assert [scan.scan.stamp_s for scan in log] == pytest.approx([0.0, 0.04, 0.09])
-
-
 def test_bad_lines_are_counted_skips(tmp_path: Path) -> None:
     whole = row(1)
     log = log_of(
