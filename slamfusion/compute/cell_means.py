@@ -36,6 +36,7 @@ from slamfusion.compute.layout import (
     WALK_SHIFT,
     WALK_TO_BEAM_SHIFT,
 )
+from slamfusion.compute.tiles import walk_cells
 
 Pools = Mapping[str, DeviceArray[Any]]
 # Tile, row and column of some cells.
@@ -91,65 +92,49 @@ class LikelihoodRule(NamedTuple):
     most: int
 
 
-class _Walks(NamedTuple):
-    """Every step of every beam, flat: its beam, its number (0 at the hit) and its cell."""
+def _valley_words(beams: I32, rule: ScanRule) -> tuple[I64, I64, I64, I64]:
+    """Return beam, row, column and word of every cell that beams observe.
 
-    beam: I64
-    i: I64
-    col: I64
-    row: I64
-    step: I64
-
-
-def _walks(beams: I32, half_blur: int) -> _Walks:
-    """Walk each beam from behind its hit to the laser, one cell of the longer axis a step."""
-    hit_x, hit_y, laser_x, laser_y, length, _ = beams.astype(np.int64).T
+    A beam is walked from behind its hit (step 0) to the laser, one cell of the longer axis a step.
+    """
+    hit_x, hit_y, laser_x, laser_y, length, ridge = beams.astype(np.int64).T
     dx, dy = laser_x - hit_x, laser_y - hit_y
     longest = np.maximum(np.abs(dx), np.abs(dy))
     m = np.maximum(longest, 1)
     step_x = np.abs(dx) * (1 << WALK_SHIFT) // m * np.where(dx < 0, -1, 1)
     step_y = np.abs(dy) * (1 << WALK_SHIFT) // m * np.where(dy < 0, -1, 1)
     step = length * (1 << WALK_SHIFT) // m
-    reach = np.where(step > 0, (half_blur << WALK_TO_BEAM_SHIFT) // np.maximum(step, 1), 0)
+    reach = np.where(step > 0, (rule.half_blur << WALK_TO_BEAM_SHIFT) // np.maximum(step, 1), 0)
     counts = reach + (longest >> BEAM_SHIFT) + 1
     beam = np.repeat(np.arange(len(beams)), counts)
     i = np.arange(len(beam)) - np.repeat(np.cumsum(counts) - counts, counts) - reach[beam]
     col = ((hit_x[beam] << WALK_TO_BEAM_SHIFT) + i * step_x[beam]) >> WALK_SHIFT
     row = ((hit_y[beam] << WALK_TO_BEAM_SHIFT) + i * step_y[beam]) >> WALK_SHIFT
-    return _Walks(beam, i, col, row, step[beam])
-
-
-def _valley_words(beams: I32, rule: ScanRule) -> tuple[I64, I64, I64, I64]:
-    """Return beam, row, column and word of every cell that beams observe."""
-    w = _walks(beams, rule.half_blur)
-    away = (np.abs(w.i) * w.step) >> WALK_TO_BEAM_SHIFT
-    half = max(1, rule.half_blur)
-    value = np.full(len(w.i), rule.free, dtype=np.int64)
-    near = away < rule.half_blur
-    rise = np.maximum(beams[w.beam, 5].astype(np.int64) - rule.free, 0)
-    value[near] += (rise * (rule.half_blur - away) // half)[near]
-    keep = (w.i >= 0) | (value >= rule.behind)
-    value[w.i == 0] = beams[w.beam[w.i == 0], 5]
-    word = (w.i == 0).astype(np.int64) << HIT_SHIFT | value << VALUE_SHIFT | (w.i >= 0)
-    return w.beam[keep], w.row[keep], w.col[keep], word[keep]
+    away = (np.abs(i) * step[beam]) >> WALK_TO_BEAM_SHIFT
+    rise = np.maximum(ridge[beam] - rule.free, 0) * (rule.half_blur - away)
+    value = rule.free + np.where(away < rule.half_blur, rise // max(1, rule.half_blur), 0)
+    keep = (i >= 0) | (value >= rule.behind)
+    value = np.where(i == 0, ridge[beam], value)
+    word = (i == 0).astype(np.int64) << HIT_SHIFT | value << VALUE_SHIFT | (i >= 0)
+    return beam[keep], row[keep], col[keep], word[keep]
 
 
 def _likelihood_words(beams: I32, rule: LikelihoodRule) -> tuple[I64, I64, I64, I64]:
     """Return the same; passed cells get the value of no hit nearby."""
-    w = _walks(np.column_stack((beams, np.zeros((len(beams), 2), dtype=np.int32))), 0)
-    passed = w.i >= 1
+    hits, lasers = beams[:, :2].astype(np.int64), beams[:, 2:].astype(np.int64)
+    beam, row, col = walk_cells((hits[:, 0], hits[:, 1]), (lasers[:, 0], lasers[:, 1]))
+    passed = np.diff(beam, prepend=-1) == 0
     around = np.arange(-rule.reach, rule.reach + 1)
     rows, cols = (axis.ravel() for axis in np.meshgrid(around, around, indexing="ij"))
-    hits = beams[:, :2, None].astype(np.int64)
-    col, row = (hits[:, 0] >> BEAM_SHIFT) + cols, (hits[:, 1] >> BEAM_SHIFT) + rows
-    dx = hits[:, 0] - (col << BEAM_SHIFT) - BEAM_HALF
-    dy = hits[:, 1] - (row << BEAM_SHIFT) - BEAM_HALF
+    near_col, near_row = (hits[:, :1] >> BEAM_SHIFT) + cols, (hits[:, 1:] >> BEAM_SHIFT) + rows
+    dx = hits[:, :1] - (near_col << BEAM_SHIFT) - BEAM_HALF
+    dy = hits[:, 1:] - (near_row << BEAM_SHIFT) - BEAM_HALF
     step = np.minimum((dx * dx + dy * dy) >> rule.shift, TABLE_LAST)
     value = np.concatenate((np.zeros(passed.sum(), np.int64), rule.table[step].ravel()))
     own = np.repeat(np.arange(len(beams)), len(rows))
     beam, row, col = (
         np.concatenate((way[passed], near.ravel()))
-        for way, near in ((w.beam, own), (w.row, row), (w.col, col))
+        for way, near in ((beam, own), (row, near_row), (col, near_col))
     )
     return beam, row, col, value << LIKELIHOOD_SHIFT | 1
 

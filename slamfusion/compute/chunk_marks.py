@@ -29,7 +29,13 @@ def _mark(pool: U32, places: tuple[I32 | I64, ...], bits: U32) -> None:
 
 
 class ChunkMarkDevice(ArrayDevice):
-    """A device that marks beams by chunk."""
+    """A device that marks beams by chunk.
+
+    On the device stay a map, ``hits`` (T, FACINGS, TILE, TILE) and ``seen`` (T, TILE, TILE) uint32
+    behind ``pages`` (PH, PW) int32; the ``beams`` (B, BEAM_INTS) int32, x and y of the hit and of
+    the laser in 1/1024 cell; the ``facings`` (B,) int32, 0 to ``FACINGS`` - 1, the directions that
+    the hit surfaces face; and a word of bits for each beam, (B,) uint32.
+    """
 
     def mark_chunks(
         self,
@@ -43,18 +49,8 @@ class ChunkMarkDevice(ArrayDevice):
         """Mark beams with the bits of their chunks, in place.
 
         Every cell on the walk from a beam's end to the laser is seen, one cell of the longer axis a
-        step; the cell of the end is also hit.
-
-        Args:
-            hits: (T, FACINGS, TILE, TILE) uint32, bits of the chunks whose beams ended in a cell,
-                on a surface that faces about a direction.
-            seen: (T, TILE, TILE) uint32, bits of the chunks whose beams passed a cell or ended in
-                it.
-            pages: (PH, PW) int32; cells of pages without a tile, and beyond the window, are left
-                out.
-            beams: (B, BEAM_INTS) int32: x and y of the hit and of the laser in 1/1024 cell.
-            facings: (B,) int32, 0 to ``FACINGS`` - 1, the direction that each hit surface faces.
-            bits: (B,) uint32, the bits to mark each beam with.
+        step; the cell of the end is also hit, on a surface that faces about the beam's direction.
+        Cells of pages without a tile, and beyond the window, are left out.
         """
         if self.opencl:
             count, (height, width) = beams.shape[0], pages.shape
@@ -88,10 +84,7 @@ class ChunkMarkDevice(ArrayDevice):
         """Return the distance from each beam's end to the nearest hit of the counted chunks.
 
         Args:
-            hits, seen, pages: a map as ``mark_chunks`` leaves it.
-            beams: (B, BEAM_INTS) int32; the laser is not used.
-            facings: (B,) int32, the direction that each hit surface faces.
-            left_out: (B,) uint32, the bits that do not count for each beam.
+            left_out: the bits that do not count for each beam.
             reach: cells around the end's own that are searched, 0 to ``MARK_REACH_MAX``.
 
         Returns:

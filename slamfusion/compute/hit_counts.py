@@ -66,9 +66,7 @@ def halve_counts(device: ArrayDevice, pools: dict[str, DeviceArray[Any]]) -> Non
     pools["sums"] = device.upload(sums)
 
 
-def percent_of_counts(
-    counts: npt.NDArray[np.uint32], threshold: float, least_visits: int = 1
-) -> npt.NDArray[np.int8]:
+def percent_of_counts(counts: U32, threshold: float, least_visits: int = 1) -> npt.NDArray[np.int8]:
     """Return hits and visits as occupancy in percent.
 
     The percent rises with the share of hits, and the threshold maps to 65, the limit of the map
@@ -82,7 +80,7 @@ def percent_of_counts(
     percent = np.where(visits < least_visits, np.int8(UNKNOWN), np.int8(0))
     # Few cells were hit; the others are free, 0 %.
     some = np.nonzero((hits > 0) & (visits >= least_visits))
-    share = hits[some] / np.maximum(visits[some], 1)
+    share = hits[some] / visits[some]
     rising = np.rint(np.interp(share, (0.0, threshold, 1.0), (0.0, OCCUPIED_PERCENT, 100.0)))
     percent[some] = np.where(
         share > threshold, np.maximum(rising, OCCUPIED_PERCENT), np.minimum(rising, FREE_PERCENT)
@@ -140,14 +138,6 @@ def check_beams(scan: BeamScan) -> None:
         raise DeviceError(message)
 
 
-class _Walks(NamedTuple):
-    """Every step of every beam in every map, flat: the map and the cell."""
-
-    map: I64
-    row: I64
-    col: I64
-
-
 def _fixed_places(cells: F32, pages: int) -> I64:
     """Return positions in 1/1024 cell, moved into the window; what is no number becomes 0."""
     limit = pages * TILE * BEAM_ONE
@@ -167,14 +157,14 @@ def _placed(scan: BeamScan, points: F32, shape: tuple[int, ...]) -> tuple[I64, I
     return _fixed_places(east, shape[-1]), _fixed_places(north, shape[-2])
 
 
-def _walks(scan: BeamScan, shape: tuple[int, ...]) -> _Walks:
-    """Walk each beam from its end to the laser, one cell of the longer axis a step."""
+def _walks(scan: BeamScan, shape: tuple[int, ...]) -> tuple[I64, I64, I64]:
+    """Walk each beam in each map as ``walk_cells``; return map, row and column of every step."""
     end_x, end_y = _placed(scan, scan.ends, shape)
     laser_x, laser_y = _placed(scan, scan.laser[None], shape)
     laser_x, laser_y = np.broadcast_arrays(laser_x, laser_y, end_x)[:2]
     lasers = laser_x.ravel(), laser_y.ravel()
     beam, row, col = walk_cells((end_x.ravel(), end_y.ravel()), lasers)
-    return _Walks(beam // max(1, len(scan.ends)), row, col)
+    return beam // max(1, len(scan.ends)), row, col
 
 
 def _is_wall(counts: U32, rule: FieldRule) -> npt.NDArray[np.bool_]:
@@ -271,12 +261,12 @@ class HitCountDevice(ArrayDevice):
             return touched
         pages = host(pages)
         touched = np.zeros(pages.shape, dtype=np.uint8)
-        w = _walks(scan, pages.shape)
+        maps, rows, cols = _walks(scan, pages.shape)
         height, width = pages.shape[1:]
         for dx, dy in ((-reach, -reach), (reach, -reach), (-reach, reach), (reach, reach)):
-            row = np.clip((w.row + dy) // TILE, 0, height - 1)
-            col = np.clip((w.col + dx) // TILE, 0, width - 1)
-            touched[w.map, row, col] = 1
+            row = np.clip((rows + dy) // TILE, 0, height - 1)
+            col = np.clip((cols + dx) // TILE, 0, width - 1)
+            touched[maps, row, col] = 1
         return touched
 
     def count_beams(
@@ -314,8 +304,7 @@ class HitCountDevice(ArrayDevice):
             full = _count(self.opencl, counts, sums, pages, scan, unmarked, -1 if take_back else 1)
             return bool(self.opencl.first(full))
         counts, sums, pages = host(counts), host(sums), host(pages)
-        w = _walks(scan, pages.shape)
-        places = tile_places(pages, *w)
+        places = tile_places(pages, *_walks(scan, pages.shape))
         places = tuple(part[places[0] != 0] for part in places)
         sum_at = np.subtract.at if take_back else np.add.at
         sum_at(counts, places, np.uint32(1))

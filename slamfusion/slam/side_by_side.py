@@ -254,21 +254,16 @@ def _answer(name: str, source: ScanLog, config: RunConfig, answers: Connection) 
     except BrokenPipeError:
         raise
     except (SlamFusionError, OSError) as error:
-        return Outcome(name, None, _one_line(error), cpu_s=_cpu_s())
+        return Outcome(name, None, _one_line(error), cpu_s=time.process_time())
     except MemoryError:
         reason = "out of memory; use a coarser cell or fewer processes"
-        return Outcome(name, None, reason, cpu_s=_cpu_s())
+        return Outcome(name, None, reason, cpu_s=time.process_time())
     except Exception as error:  # noqa: BLE001 - a bug in one producer must not stop the others
         reason = f"a bug: {type(error).__name__}: {error}"
         detail = traceback.format_exc()
-        return Outcome(name, None, _one_line(reason), cpu_s=_cpu_s(), detail=detail)
-    return Outcome(name, run, cpu_s=_cpu_s(), device=device.name)
+        return Outcome(name, None, _one_line(reason), cpu_s=time.process_time(), detail=detail)
+    return Outcome(name, run, cpu_s=time.process_time(), device=device.name)
 
 
 def _one_line(error: Exception | str) -> str:
     return " ".join(str(error).split())
-
-
-def _cpu_s() -> float:
-    times = os.times()
-    return times.user + times.system

@@ -20,7 +20,8 @@ from slamfusion.compute.arrays import DeviceArray
 from slamfusion.compute.cell_means import LikelihoodRule, ScanRule
 from slamfusion.compute.layout import TILE
 from slamfusion.errors import MemoryBudgetError
-from slamfusion.geometry import F64
+from slamfusion.geometry import F64, Pose2
+from slamfusion.grid import OccupancyGrid
 from slamfusion.slam.common.state import check_indices, check_kinds, check_shapes
 
 # Tiles for which a pool reserves memory at first: a room's, so that a small map is never copied.
@@ -36,6 +37,18 @@ MOST_PAGES = 1 << 24
 MOST_SIDE = 1 << 15
 
 Array = npt.NDArray[Any]
+
+
+def known_part(
+    percent: npt.NDArray[np.int8], anchor: F64, first: Array, cell: float, name: str
+) -> OccupancyGrid:
+    """Return a map (H, W) as a grid, cut to what is known.
+
+    Its first cell is ``first`` (2,) from the anchor (2,), metres; ``cell`` is in metres.
+    """
+    grid = OccupancyGrid(percent, cell, Pose2(*(anchor + first * cell).tolist()), name)
+    box = grid.known_box()
+    return grid if box is None else grid.crop(box)
 
 
 class _Tiles:

@@ -19,7 +19,7 @@ from slamfusion.scan import LaserScan
 from slamfusion.slam.common.mapper import Series
 from slamfusion.slam.common.matcher import FieldMap, pose_table
 from slamfusion.slam.common.state import Rows, Stateful
-from slamfusion.slam.common.tile_map import SharedTileMaps
+from slamfusion.slam.common.tile_map import SharedTileMaps, known_part
 from slamfusion.trajectory import Trajectory
 
 I64 = npt.NDArray[np.int64]
@@ -204,13 +204,8 @@ class ParticleMaps(Stateful):
     def grid(self, index: int, name: str) -> OccupancyGrid:
         """Return one particle's map as it is published."""
         counts, first = self.tiles.cells("counts", index)
-        cell = self._config.delta
-        corner = self.anchor + first * cell
-        origin = Pose2(float(corner[0]), float(corner[1]))
         percent = percent_of_counts(counts.astype(np.uint32), self._config.occ_thresh)
-        grid = OccupancyGrid(percent, cell, origin, name)
-        box = grid.known_box()
-        return grid if box is None else grid.crop(box)
+        return known_part(percent, self.anchor, first, self._config.delta, name)
 
     def integrate(self, beams: Beams, poses: F64, alive: I64) -> None:
         """Integrate a scan into the maps of some particles, given the poses (N, 3) of all."""

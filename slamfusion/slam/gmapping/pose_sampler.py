@@ -9,14 +9,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
 from slamfusion.compute import ComputeDevice
-from slamfusion.config import GmappingConfig
-from slamfusion.geometry import F64, Pose2, compose_poses, invert_poses, wrap_angles
+from slamfusion.geometry import F64, Pose2, compose_poses, invert_poses, row_of, wrap_angles
 from slamfusion.slam.common.matcher import pose_table
 from slamfusion.slam.gmapping.particles import ParticleMaps
 
@@ -31,16 +30,6 @@ MOST_STEERING_RAD = 1.4
 LEAST_TURN_RAD = 1e-9
 
 
-class MotionModel(Protocol):
-    """Draws steps of the robot; metres, radians, its own frame."""
-
-    def draw(self, step: Pose2, count: int, rng: np.random.Generator) -> F64:
-        """Return (count, 3) steps that the robot may have made; metres, radians, its own frame."""
-
-    def sigmas(self, step: Pose2) -> F64:
-        """Return (3,) standard deviations of x, y and yaw around the step."""
-
-
 class DifferentialModel:
     """Errors grow with the distance and with the turn, alike in every direction."""
 
@@ -48,12 +37,12 @@ class DifferentialModel:
         self._srr, self._srt, self._str, self._stt = srr, srt, translation_per_turn, stt
 
     def draw(self, step: Pose2, count: int, rng: np.random.Generator) -> F64:
-        """See ``MotionModel.draw``."""
+        """Return (count, 3) steps that the robot may have made; metres, radians, its own frame."""
         errors = rng.standard_normal((count, 3)) * self._spread(step)
-        return np.array([step.x, step.y, step.yaw_rad]) + errors
+        return row_of(step) + errors
 
     def sigmas(self, step: Pose2) -> F64:
-        """See ``MotionModel.sigmas``."""
+        """Return (3,) standard deviations of x, y and yaw around the step."""
         return np.maximum(self._spread(step), LEAST_SIGMAS)
 
     def _spread(self, step: Pose2) -> F64:
@@ -73,7 +62,7 @@ class BicycleModel:
         self._srr, self._steering, self._base = srr, steering_sigma, wheel_base
 
     def draw(self, step: Pose2, count: int, rng: np.random.Generator) -> F64:
-        """See ``MotionModel.draw``."""
+        """Return (count, 3) steps; see ``DifferentialModel``."""
         distance, steering = self._controls(step)
         errors = rng.standard_normal((count, 2))
         distances = distance + self._srr * abs(distance) * errors[:, 0]
@@ -84,10 +73,10 @@ class BicycleModel:
         drawn = _arcs(distances, distances * np.tan(angles) / self._base)
         # The step may consist of several arcs; the change by the errors is appended.
         changed = compose_poses(invert_poses(meant), drawn)
-        return np.asarray(compose_poses(np.array([[step.x, step.y, step.yaw_rad]]), changed))
+        return np.asarray(compose_poses(row_of(step)[None], changed))
 
     def sigmas(self, step: Pose2) -> F64:
-        """See ``MotionModel.sigmas``."""
+        """Return (3,) standard deviations; see ``DifferentialModel``."""
         distance, steering = self._controls(step)
         turn = abs(distance) * self._steering / (self._base * math.cos(steering) ** 2)
         along, across = self._srr * abs(distance), 0.5 * abs(distance) * turn
@@ -108,12 +97,14 @@ class BicycleModel:
         return distance, max(-MOST_STEERING_RAD, min(MOST_STEERING_RAD, steering))
 
 
-def make_motion_model(config: GmappingConfig) -> MotionModel:
+MotionModel: TypeAlias = "DifferentialModel | BicycleModel"
+
+
+def make_motion_model(config: Any) -> MotionModel:
     """Return the motion model of a complete configuration."""
-    srr, srt, across, stt = (getattr(config, name) for name in ("srr", "srt", "str", "stt"))
     if config.motion_model == "bicycle":
-        return BicycleModel(srr, config.steering_sigma, config.wheel_base)
-    return DifferentialModel(srr, srt, across, stt)
+        return BicycleModel(config.srr, config.steering_sigma, config.wheel_base)
+    return DifferentialModel(config.srr, config.srt, config.str, config.stt)
 
 
 def _arcs(distances: F64, turns: F64) -> F64:
@@ -235,7 +226,15 @@ class PoseSampler:
         # Sample the likelihood around each match, times the motion model's prior.
         samples = centres[:, None, :] + self._samples
         looked_at = hits[:: max(every, config.lskip + 1)]
-        log_likelihoods = self._log_likelihoods(looked_at, samples)
+        table = pose_table(samples, cell, self._maps.corner)
+        sums = self._device.score_maps(
+            self._maps.field,
+            self._maps.tiles.page_tables,
+            self._device.upload(looked_at),
+            table,
+            self._likelihood_table,
+        )
+        log_likelihoods = np.asarray(sums / LOG_ONE)
         away = (samples - expected[:, None, :]) / sigmas
         away[..., 2] = wrap_angles(samples[..., 2] - expected[:, None, 2]) / sigmas[2]
         log_priors = -0.5 * np.square(away).sum(axis=-1) - float(
@@ -282,15 +281,6 @@ class PoseSampler:
         )
         loss = (losses[:, 3:6] * (found[:, :3] - losses[:, :3]) ** 2).sum(axis=1)
         return matched, np.asarray(found[:, 5] + loss)
-
-    def _log_likelihoods(self, hits: npt.NDArray[np.float32], samples: F64) -> F64:
-        """Return (N, K) of hits (P, 2), in cells, at samples (N, K, 3) on the particles' maps."""
-        maps = self._maps
-        table = pose_table(samples, self._config.delta, maps.corner)
-        looked_at = self._device.upload(hits)
-        pages = maps.tiles.page_tables
-        sums = self._device.score_maps(maps.field, pages, looked_at, table, self._likelihood_table)
-        return np.asarray(sums / LOG_ONE)
 
 
 def _likelihood_table(config: Any) -> npt.NDArray[np.int32]:

@@ -19,13 +19,13 @@ from slamfusion.compute.cell_means import ScanRule
 from slamfusion.compute.layout import BEAM_ONE, MEAN_HALF, MOST_OBSERVATIONS, UNSEEN, VALUE_ONE
 from slamfusion.config import TinySlamConfig
 from slamfusion.errors import SlamFusionError
-from slamfusion.geometry import F64, Pose2, row_of, wrap_angle
+from slamfusion.geometry import F64, Pose2, pose_of, row_of
 from slamfusion.grid import UNKNOWN, OccupancyGrid
 from slamfusion.scan import LaserScan
 from slamfusion.slam.common.mapper import Health, Series, Step
 from slamfusion.slam.common.matcher import FieldMap, Match, PoseHypothesis
 from slamfusion.slam.common.state import Rows
-from slamfusion.slam.common.tile_map import TileMap
+from slamfusion.slam.common.tile_map import TileMap, known_part
 from slamfusion.slam.common.tracking import Tracker
 from slamfusion.trajectory import Trajectory
 
@@ -162,14 +162,14 @@ class TinySlam:
         """Match a scan and integrate it into the map; see ``Mapper.feed``."""
         self.health.scans += 1
         hypotheses = self._tracker.hypotheses(scan.stamp_s, odometry)
-        x, y, yaw = (float(value) for value in hypotheses[0].pose)
-        predicted = Pose2(x, y, yaw)
         if self._tracker.pose is None:  # the lattice of cells is that of the map frame
             cell = self._config.resolution
             self._anchor = np.floor(hypotheses[0].pose[:2] / cell) * cell
         points = scan.points(scan.is_hit(self._config.usable_range_m))
         if len(points) == 0:
-            step = self._skip("no reading within the usable range", predicted)
+            reason = "no reading within the usable range"
+            self.health.skips.add(reason, self.health.scans)
+            step = Step(pose_of(hypotheses[0].pose), used=False, match_score=None, reason=reason)
         else:
             step = self._use(scan, points, hypotheses)
         self._tracker.advance(step.pose_map_base, odometry, scan.stamp_s)
@@ -196,11 +196,7 @@ class TinySlam:
             raise SlamFusionError(f"{self.name}: no scan could be used, so there is no map")
         states, first = self._map.cells("published")
         percent = _percent(states.astype(np.uint32), self._config.occupied_share)
-        cell = self._config.resolution
-        corner = self._anchor + first * cell
-        grid = OccupancyGrid(percent, cell, Pose2(float(corner[0]), float(corner[1])), self.name)
-        box = grid.known_box()
-        return grid if box is None else grid.crop(box)
+        return known_part(percent, self._anchor, first, self._config.resolution, self.name)
 
     def memory_bytes(self) -> int:
         """Return the bytes of the map, reserves of its pools included."""
@@ -208,15 +204,9 @@ class TinySlam:
 
     # -- one scan ------------------------------------------------------------------------------
 
-    def _skip(self, reason: str, predicted: Pose2) -> Step:
-        self.health.skips.add(reason, self.health.scans)
-        return Step(predicted, used=False, match_score=None, reason=reason)
-
     def _use(self, scan: LaserScan, points: F64, hypotheses: list[PoseHypothesis]) -> Step:
         match = self._tracker.match(self._walls(), points, hypotheses) if self._mapped else None
-        found = hypotheses[0].pose if match is None else match.pose
-        x, y, yaw = (float(value) for value in found)
-        pose = Pose2(x, y, wrap_angle(yaw))
+        pose = pose_of(hypotheses[0].pose if match is None else match.pose)
         self._integrate(scan, points, pose, self._quality(match))
         self.health.scans_used += 1
         return Step(pose, used=True, match_score=None if match is None else match.score)
