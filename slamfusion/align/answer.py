@@ -42,10 +42,8 @@ from slamfusion.geometry import F64, Pose2, wrap_angle
 
 # A bent map with a smaller share of matching walls is fitted as a whole, at a wide scale in cells.
 BENT_MATCH, BENT_SCALES = 0.45, (24.0,)
-# Tolerances in metres, with a minimum in cells for coarse maps.
-NEAR_M, NEAR_CELLS_MIN = 0.15, 1.5
-CLASH_M, CLASH_CELLS_MIN = 0.4, 3.0
-FAR_CLASH_M, FAR_CLASH_CELLS_MIN = 1.0, 5.0
+# Tolerances of a match and of two clashes, metres, with a minimum in cells for coarse maps.
+TOLERANCES = ((0.15, 1.5), (1.0, 5.0), (0.4, 3.0))
 MEASURED_POINTS = 4096
 
 
@@ -120,7 +118,48 @@ def _decided(
     # A start limits the possible common ground.
     is_anywhere = chances.prior >= 1.0
     patches = max(1.0, MOST / max(statistics["overlap"], 1e-3)) if is_anywhere else 1.0
-    evidence = MatchEvidence(
+    evidence = _evidence(answer, chances, patches)
+    walls = min(len(pair.reference.wall_points), len(pair.moving.wall_points))
+    if walls < WALLS_MIN:
+        words = f"too few walls to judge: {walls} of the {WALLS_MIN} needed"
+        return evidence, Decision("too little in common", words)
+    rival = None
+    if runner_up is not None:
+        pose = runner_up.transform
+        rival = f"at {pose.x:.2f}, {pose.y:.2f} m, {math.degrees(pose.yaw_rad):.0f} deg"
+    trials = TRIALS * patches * answer.trials[0]
+    decision = decide(evidence, statistics, rival, trials)
+    mirrored = scale = None
+    if found.coarse is None:
+        return evidence, decision._replace(reason=f"{found.search}: {decision.reason}")
+    if decision.accepted:
+        # Two good maps of a place that is nearly symmetric fit both ways.
+        others = np.empty((0, 3))
+        if answer.reading != "good" or evidence.expected_wrong >= EXPECTED_WRONG_MAX**2:
+            is_near = "a pose away from the start" in answer.against
+            mirrored = mirror_gain(pair, answer.motion, config, answer.reading, is_near=is_near)
+            others = answer.others
+            if answer.reading == "good":
+                answer = answer.compared_with_image(mirrored or 0.0)
+        at = answer.motion if answer.reading == "bent" else best
+        scale = estimate_scale(pair, at, answer.reading, others)
+    elif found.search == "full" and decision.kind in found.image_after:
+        mirrored = _image_gain(pair, config, answer, chances.trials)
+    if mirrored is not None or scale is not None:
+        evidence = replace(_evidence(answer, chances, patches), mirrored=mirrored, scale=scale)
+        decision = decide(evidence, statistics, rival, trials)
+    if found.coarse.is_cut:
+        said = (
+            "; walls fill the cells that were searched at every yaw; on finer ones only yaws with "
+            "parallel walls were"
+        )
+        decision = decision._replace(reason=decision.reason + said)
+    return evidence, decision
+
+
+def _evidence(answer: Answer, chances: Chances, patches: float) -> MatchEvidence:
+    """Return what the record has of an answer; ``patches`` is the prior of little common ground."""
+    return MatchEvidence(
         answer.reading,
         answer.against["no relation"],
         answer.against[answer.nearest],
@@ -131,40 +170,6 @@ def _decided(
         answer.ratio,
         patches * (answer.wrong if answer.weight > 0.0 else TRIALS * chances.trials),
     )
-    walls = min(len(pair.reference.wall_points), len(pair.moving.wall_points))
-    if walls < WALLS_MIN:
-        words = f"too few walls to judge: {walls} of the {WALLS_MIN} needed"
-        return evidence, Decision(False, "too little in common", words)
-    rival = None
-    if runner_up is not None:
-        pose = runner_up.transform
-        rival = f"at {pose.x:.2f}, {pose.y:.2f} m, {math.degrees(pose.yaw_rad):.0f} deg"
-    trials = TRIALS * patches * answer.trials[0]
-    decision = decide(evidence, statistics, rival, trials)
-    mirrored = scale = None
-    if found.coarse is None:
-        return evidence, replace(decision, reason=f"{found.search}: {decision.reason}")
-    if decision.accepted:
-        # Two good maps of a place that is nearly symmetric fit both ways.
-        others = np.empty((0, 3))
-        if answer.reading != "good" or evidence.expected_wrong >= EXPECTED_WRONG_MAX**2:
-            is_near = "a pose away from the start" in answer.against
-            mirrored = mirror_gain(pair, answer.motion, config, answer.reading, is_near=is_near)
-            others = answer.others
-        at = answer.motion if answer.reading == "bent" else best
-        scale = estimate_scale(pair, at, answer.reading, others)
-    elif found.search == "full" and decision.kind in found.image_after:
-        mirrored = _image_gain(pair, config, answer, chances.trials)
-    if mirrored is not None or scale is not None:
-        evidence = replace(evidence, mirrored=mirrored, scale=scale)
-        decision = decide(evidence, statistics, rival, trials)
-    if found.coarse.is_cut:
-        said = (
-            "; walls fill the cells that were searched at every yaw; on finer ones only yaws with "
-            "parallel walls were"
-        )
-        decision = replace(decision, reason=decision.reason + said)
-    return evidence, decision
 
 
 def _image_gain(pair: Pair, config: AlignConfig, answer: Answer, trials: float) -> float | None:
@@ -186,17 +191,13 @@ def _placed(pair: Pair, found: SearchResult, answer: Answer) -> tuple[F64, dict[
     if found.coarse is not None and answer.reading != "bent":
         best = climbed(pair, narrow_fits(pair, best[None])[0])
     statistics = measure(pair, best)
-    if answer.reading == "bent" and _met(statistics) < BENT_MATCH:
+    met = max(statistics["wall_match_moving"], statistics["wall_match_reference"])
+    if answer.reading == "bent" and met < BENT_MATCH:
         # A narrow fit locks onto one part of a bent map; a wide one spreads the misfit over all of
         # it.
         best = refine(pair, best[None], 1, BENT_SCALES, iterations=8, everywhere=True)[0]
         statistics = measure(pair, best)
     return best, statistics
-
-
-def _met(statistics: dict[str, float]) -> float:
-    """Return the share of matching walls, of the map that has more."""
-    return max(statistics["wall_match_moving"], statistics["wall_match_reference"])
 
 
 def _profile(pair: Pair, coarse: CoarseSearch) -> F64:
@@ -234,11 +235,7 @@ def measure(pair: Pair, motion: F64) -> dict[str, float]:
     random place on the other map's known cells would explain.
     """
     size = pair.resolution
-    near2 = int(max(NEAR_M / size, NEAR_CELLS_MIN) ** 2 + 1e-9)
-    clashes2 = [
-        int(max(metres / size, least) ** 2 + 1e-9)
-        for metres, least in ((FAR_CLASH_M, FAR_CLASH_CELLS_MIN), (CLASH_M, CLASH_CELLS_MIN))
-    ]
+    limits2 = [int(max(metres / size, least) ** 2 + 1e-9) for metres, least in TOLERANCES]
     sides = [
         CountedSide(
             spread_sample(own.wall_points, MEASURED_POINTS), ways, other.known,
@@ -246,12 +243,12 @@ def measure(pair: Pair, motion: F64) -> dict[str, float]:
         )
         for own, ways, other in pair.sides(motion[None])
     ]  # fmt: skip
-    counts = pair.device.pose_counts(*sides, limits2=(near2, *clashes2))
+    counts = pair.device.pose_counts(*sides, limits2=tuple(limits2))
     known, _, match, _, _, _, *clash = (
         [float(own[0, k]) / len(side.points) for own, side in zip(counts, sides, strict=True)]
         for k in range(counts[0].shape[1])
     )
-    chance = [other.near_wall_share(near2) for other in pair]
+    chance = [other.near_wall_share(limits2[0]) for other in pair]
     smaller = 0 if len(pair.moving.wall_points) <= len(pair.reference.wall_points) else 1
     overlap, error = _overlap_and_error(pair, motion)
     return {

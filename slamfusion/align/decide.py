@@ -4,12 +4,14 @@ The answer of a search is the best of millions of poses, so it fits well even if
 places. A right answer has no close rival. So it is compared piece by piece of wall (``hypotheses``)
 with **another pose**, **a shift of itself** (a corridor slides along itself), **no relation**
 between the maps, and, if it is better than these, its **mirror image** and **another scale**. ``n``
-is the number of pieces of equal weight that prefer the answer.
+is the number of independent pieces of equal weight that prefer the answer. The image has the same
+walls and is no place, so it fits as well as chance allows: for good maps it takes as much from
+``n`` as another pose that fits so well.
 
 Two maps of a place are read in three ways; the weight of a piece depends on how well a reading
 fits:
 
-    good      what stays unexplained contradicts         weight = odds(share) / ODDS_ONE
+    good      what stays unexplained contradicts         weight = odds(share) / odds(0.85)
     changed   sharp maps of two times: things moved      weight = odds(share) / ODDS_ONE, at most 1
     bent      walls lie next to each other, not on them  weight = share of the walls that do
     score = weight * least n
@@ -26,11 +28,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal, TypeAlias, get_args
+from typing import Literal, NamedTuple, TypeAlias, get_args
 
 Reading: TypeAlias = Literal["good", "changed", "bent"]
 Hypothesis: TypeAlias = Literal[
-    "another pose", "a shift of itself", "no relation", "a pose away from the start"
+    "another pose",
+    "a shift of itself",
+    "no relation",
+    "its mirror image",
+    "a pose away from the start",
 ]
 DecisionKind: TypeAlias = Literal[
     "accepted",
@@ -58,9 +64,10 @@ GROUND_ONE_M2 = 10_000.0
 START_WRONG = 0.005
 # Share of the walls that is left unexplained by chance.
 UNEXPLAINED_MIN = 0.03
-# Odds of the explained share at which a piece counts as one: 0.89 of the common walls.
+# Odds of the explained share at which a piece of changed maps counts as one: 0.89 of the walls.
 ODDS_ONE = 8.0
-# Least share of the common walls that two good maps of one place and time explain.
+# Least share of the common walls that two good maps of one place and time explain; a piece of them
+# counts as one there.
 SAME_TIME_SHARE = 0.85
 # Metres of wall that are one observation, two widths of a wall: a score is never more than the
 # evidence in nats.
@@ -76,13 +83,16 @@ MOST = 0.5
 SCALE_MAX = 0.03
 
 
-@dataclass(frozen=True)
-class Decision:
-    """What is decided."""
+class Decision(NamedTuple):
+    """What is decided, and why, in one line."""
 
-    accepted: bool
     kind: DecisionKind
     reason: str
+
+    @property
+    def accepted(self) -> bool:
+        """Whether the alignment may be used."""
+        return self.kind == "accepted"
 
 
 @dataclass(frozen=True)
@@ -145,7 +155,7 @@ def decide(
         return _not_beaten(evidence, statistics, rival, trials)
     off = abs((evidence.scale or 1.0) - 1.0)
     if off >= SCALE_MAX:
-        return _refused(
+        return Decision(
             "other scale", f"the maps differ in scale by {off:.1%}: is a resolution wrong?"
         )
     strength = strength_of(evidence.share)
@@ -156,22 +166,18 @@ def decide(
         said += f"; {_contradiction(evidence)}"
     if off > 0.0:
         said += f"; the maps differ in scale by {off:.1%}"
-    return Decision(True, "accepted", said)
+    return Decision("accepted", said)
 
 
 def decide_mirrored(mirrored: float | None) -> Decision | None:
     """Reject a pair whose mirror image fits as well; None if it does not."""
     if mirrored is None or mirrored < 1.0:
         return None
-    return _refused(
+    return Decision(
         "mirrored",
         f"fits its mirror image as well or better, {mirrored:.1f} times: is a laser upside down, "
         "or a map mirrored or transposed?",
     )
-
-
-def _refused(kind: DecisionKind, reason: str) -> Decision:
-    return Decision(False, kind, reason)
 
 
 def _share_of_walls(evidence: MatchEvidence) -> str:
@@ -196,33 +202,39 @@ def _not_beaten(
         return expected_wrong(pieces, trials) < EXPECTED_WRONG_MAX
 
     rivalry = f"{evidence.rival_ratio:.0%} of that"
-    if not is_enough(evidence.pieces):
-        return _refused(
+    if evidence.nearest == "its mirror image":
+        return Decision(
+            "different place",
+            f"the maps may show two places: the best fit explains {_share_of_walls(evidence)}, and "
+            f"one of the mirror image, which is no place, {evidence.mirrored:.0%} of that",
+        )
+    if not is_enough(evidence.pieces * max(evidence.weight, 1.0)):
+        return Decision(
             "too little in common",
             f"too little in common to judge: {evidence.common_m:.1f} m of walls, "
             f"{evidence.pieces:.1f} independent pieces of wall; maps of two places fit so well by "
             "chance",
         )
     if is_enough(evidence.better):
-        return _refused(
+        return Decision(
             "bent",
             f"maybe here, but {evidence.expected_wrong:.2g} wrong answers are to be expected to "
             f"look as good ({EXPECTED_WRONG_MAX:g} at most): {_contradiction(evidence)}",
         )
     if evidence.nearest == "a shift of itself":
-        return _refused(
+        return Decision(
             "too little in common",
             f"too little in common: of the {evidence.common_m:.1f} m of common walls "
             f"{evidence.better:.1f} independent pieces tell it from a shift of itself",
         )
     is_alike = min(evidence.share, evidence.rival_ratio, statistics["overlap"]) >= MOST
     if is_alike and rival is not None:
-        return _refused(
+        return Decision(
             "ambiguous",
             "ambiguous: the same place twice? the best fit explains "
             f"{_share_of_walls(evidence)}, and another transform, {rival}, explains {rivalry}",
         )
-    return _refused(
+    return Decision(
         "different place",
         "the maps do not show the same place: the best fit explains "
         f"{statistics['explained']:.0%} of the smaller map's walls, a random one "

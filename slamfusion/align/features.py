@@ -297,6 +297,13 @@ class GridFeatures:
         return PointPieces(*map(self.device.upload, (points, starts, sides)))
 
     @_kept
+    def piece_squares(self, per_half_cell: float, most: int) -> npt.NDArray[np.int64]:
+        """Return (B, 2) the column and row of each of the ``pieces``."""
+        pieces = self.pieces(per_half_cell, most)
+        first = self.device.download(pieces.points)[self.device.download(pieces.starts)[:-1]]
+        return np.asarray(np.floor(first * per_half_cell), dtype=np.int64)
+
+    @_kept
     def piece_words(self, sigma: float) -> tuple[EvidenceTable, DeviceArray[Any]]:
         """Return the evidence of walls of a width in cells, and what their pieces look up."""
         table = self.evidence_table(1, sigma, FIELD_TOP)

@@ -35,10 +35,10 @@ from slamfusion.align.likelihood import likeness
 from slamfusion.align.pair import Pair, displacement
 from slamfusion.align.refine import common_walls, narrow_fits
 from slamfusion.align.scores import (
+    ALIKE,
     GOOD_DOUBT,
     SCORED_POINTS,
     WallPieces,
-    pieces_for,
     score_motions,
     wall_pieces,
 )
@@ -74,18 +74,21 @@ class How(NamedTuple):
         widths: of a wall, in narrow ones (``Pair.widths``).
         slide: how far the answer is shifted, in widths of this wall: walls in another direction
             hold good maps in place, other maps are held by the whole place.
+        alike: see ``WallPieces``. Few pieces of two good maps are enough, and two pieces of
+            furniture fit by chance; other maps need many pieces, so neighbours count in full.
     """
 
     widths: float
     sided: bool
     doubt: float
     slide: float
+    alike: int
 
 
 READINGS: dict[Reading, How] = {
-    "good": How(1.0, True, GOOD_DOUBT, APART_WIDTHS),
-    "changed": How(1.0, False, 0.0, FARTHEST_WIDTHS),
-    "bent": How(2.0, False, 0.0, FARTHEST_WIDTHS),
+    "good": How(1.0, True, GOOD_DOUBT, APART_WIDTHS, ALIKE),
+    "changed": How(1.0, False, 0.0, FARTHEST_WIDTHS, 1),
+    "bent": How(2.0, False, 0.0, FARTHEST_WIDTHS, 1),
 }
 
 
@@ -93,9 +96,8 @@ def weigh(pair: Pair, motions: F64, reading: Reading, scales: F64 | None = None)
     """Return the pieces of wall for motions (P, 3) in a reading, at scales (P,)."""
     how = READINGS[reading]
     sigma = how.widths * pair.widths[0]
-    return replace(
-        wall_pieces(pair, motions, sigma, scales=scales, sided=how.sided), doubt=how.doubt
-    )
+    pieces = wall_pieces(pair, motions, sigma, scales=scales, sided=how.sided)
+    return replace(pieces, doubt=how.doubt, alike=how.alike)
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,11 +131,10 @@ class Answer:
         """What a piece counts; 0 where the maps cannot be read so."""
         if self.reading == "bent":
             return self.hit
-        is_good = self.reading == "good"
-        if self.share < (SAME_TIME_SHARE if is_good else MOST):
-            return 0.0
-        weight = odds(self.share) / ODDS_ONE
-        return weight if is_good else min(weight, 1.0)
+        if self.reading == "good":
+            enough = self.share >= SAME_TIME_SHARE
+            return odds(self.share) / odds(SAME_TIME_SHARE) if enough else 0.0
+        return min(odds(self.share) / ODDS_ONE, 1.0) if self.share >= MOST else 0.0
 
     def score(self, hypothesis: Hypothesis) -> float:
         """Return by how much it beats a hypothesis, see ``decide``."""
@@ -148,6 +149,7 @@ class Answer:
         near, away = self.trials
         trials = {
             "another pose": TRIALS * near,
+            "its mirror image": TRIALS * near,
             "no relation": TRIALS * max(near, away),
             "a shift of itself": near,
             "a pose away from the start": away,
@@ -163,6 +165,17 @@ class Answer:
     def wrong(self) -> float:
         """The expected number of equally good wrong answers, see ``expected_wrong``."""
         return self.expected(self.nearest)
+
+    def compared_with_image(self, ratio: float) -> Answer:
+        """Compare it with the mirror image, by the evidence for that over its own.
+
+        The image has the same walls and shows no place, so it fits as well as chance allows. It
+        counts as another pose with that evidence. Only for two good maps: where nothing
+        contradicts, the image of any place with right angles has half of the evidence.
+        """
+        lead = self.against.get("another pose", self.against["no relation"])
+        image = float(_discounted(lead, ratio))
+        return replace(self, against=self.against | {"its mirror image": image})
 
     @property
     def is_related(self) -> bool:
@@ -192,12 +205,15 @@ class Chances:
 
 def best_answer(pair: Pair, found: SearchResult, chances: Chances) -> Answer:
     """Return the answer in the reading with the most evidence; ``found`` has a motion."""
-    motions, rest = found.motions, (pair.widths[0], chances)
-    inside = None
+    motions, inside = found.motions, None
     if found.candidates is not None:
         inside = np.arange(len(motions)) < found.candidates
+
+    def answered(reading: Reading, pieces: WallPieces) -> Answer:
+        return _slid(pair, _answer(pair, motions, reading, pieces, inside, chances))
+
     sided = weigh(pair, motions, "good")
-    good = _slid(pair, _answer(motions, "good", sided, inside, *rest))
+    good = answered("good", sided)
     if good.is_accepted:
         return good
     plain = weigh(pair, motions, "changed")
@@ -212,44 +228,39 @@ def best_answer(pair: Pair, found: SearchResult, chances: Chances) -> Answer:
     motions = np.concatenate((motions, fits))
     if inside is not None:
         inside = np.concatenate((inside, inside[rows]))
-    sided = sided.joined(weigh(pair, fits, "good"))
-    good = _slid(pair, _answer(motions, "good", sided, inside, *rest))
+    good = answered("good", sided.joined(weigh(pair, fits, "good")))
     if good.is_accepted:
         return good
-    plain = plain.joined(weigh(pair, fits, "changed"))
-    changed = _slid(pair, _answer(motions, "changed", plain, inside, *rest))
-    bent = _answer(motions, "bent", weigh(pair, motions, "bent"), inside, *rest)
-    bent = _slid(pair, replace(bent, hit=hit_share(pair, bent.motion)))
+    changed = answered("changed", plain.joined(weigh(pair, fits, "changed")))
+    bent = answered("bent", weigh(pair, motions, "bent"))
     readings = [answer for answer in (good, changed, bent) if answer.is_related]
     return min(readings, key=lambda answer: answer.wrong, default=changed)
 
 
 def _answer(
+    pair: Pair,
     motions: F64,
     reading: Reading,
     pieces: WallPieces,
     inside: npt.NDArray[np.bool_] | None,
-    narrow: float,
     chances: Chances,
 ) -> Answer:
     """Return the best of the motions (P, 3) in the window, compared with all others.
 
-    ``inside`` (P,) marks motions in the window, None: no window; ``narrow`` is the width of a wall
-    in cells.
+    ``inside`` (P,) marks motions in the window, None: no window.
     """
     total = pieces.total
     best = int(np.argmax(total if inside is None else np.where(inside, total, -np.inf)))
-    apart = APART_WIDTHS * READINGS[reading].widths * narrow
+    apart = APART_WIDTHS * READINGS[reading].widths * pair.widths[0]
     order = np.argsort(-total, kind="stable")
     others = [int(k) for k in order if is_distinct(motions[k], motions[best], apart)]
     if inside is None and chances.start is not None:
         inside = np.array([not is_distinct(motion, chances.start) for motion in motions])
     is_near = inside is not None and bool(inside[best])
     own = pieces.weighed[best]
-    against: dict[Hypothesis, float] = {"no relation": float(pieces_for(own))}
+    against: dict[Hypothesis, float] = {"no relation": float(pieces.count(own))}
     ratios = np.clip(total[others] / max(float(total[best]), 1e-9), 0.0, 1.0)
-    leads = pieces_for(own - pieces.weighed[others])
-    leads *= np.where(leads > 0.0, np.minimum((1.0 - ratios) / MOST, 1.0), 1.0)
+    leads = _discounted(pieces.count(own - pieces.weighed[others]), ratios)
     better = dict(zip(others, leads.tolist(), strict=True))
     away = {k for k in others if is_near and inside is not None and not inside[k]}
     if away:
@@ -266,7 +277,14 @@ def _answer(
         float(pieces.share()[best]),
         float(pieces.seen_m[best]),
         (chances.trials * (chances.prior if is_near else 1.0), chances.trials * START_WRONG),
+        hit_share(pair, motions[best]) if reading == "bent" else 0.0,
     )
+
+
+def _discounted(leads: npt.ArrayLike, ratios: npt.ArrayLike) -> F64:
+    """Return leads over rivals; the less, the more of the answer's evidence a rival has."""
+    kept = np.clip((1.0 - np.asarray(ratios)) / MOST, 0.0, 1.0)
+    return np.asarray(np.where(np.asarray(leads) > 0.0, kept, 1.0) * leads)
 
 
 def is_distinct(a: F64, b: F64, cells: float = DISTINCT_CELLS) -> bool:
@@ -290,10 +308,10 @@ def _slid(pair: Pair, answer: Answer) -> Answer:
     unseen = np.maximum(seen - pieces.most[1:], 0.0) / np.maximum(seen, 1e-9)
     typical = float((seen * seen).sum() / max(float(seen.sum()), 1e-9))
     lost = own - pieces.weighed[1:] - unseen * own
-    least = float(pieces_for(lost, SLIDE_NOISE * typical**2).min())
+    least = float(pieces.count(lost, SLIDE_NOISE * typical**2).min())
     if answer.reading == "good":
         shifted = weigh(pair, shifts(pair, answer.motion), "good").weighed
-        least = min(least, float(pieces_for(own - shifted).min()))
+        least = min(least, float(pieces.count(own - shifted).min()))
     return replace(answer, against=answer.against | {"a shift of itself": least})
 
 
@@ -392,7 +410,8 @@ def estimate_scale(pair: Pair, motion: F64, reading: Reading, others: F64) -> fl
         pair, np.stack((motions[best], motion)), narrow, scales=np.array([scale, 1.0])
     )
     # A smaller gain of one of several scales is chance.
-    is_better = expected_wrong(both.better(0, 1), TRIALS) < 1.0
+    pieces = float(both.count(both.weighed[0] - both.weighed[1]))
+    is_better = expected_wrong(pieces, TRIALS) < 1.0
     is_better = is_better and both.share()[0] >= STOREYS_SHARE
     # A scale that moves common walls by less than half their width cannot be distinguished from 1.
     return scale if is_better and abs(scale - 1.0) * reaches[best] >= 0.5 * narrow else 1.0

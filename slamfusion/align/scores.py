@@ -3,7 +3,8 @@
 The cells of one wall fall on another wall all together, or not at all, so they are not independent.
 So the evidence of cells (see ``likelihood``) is summed over pieces, squares of ``PIECE_M`` of the
 map that the walls belong to. A piece is the same under every motion, so two motions can be compared
-piece by piece.
+piece by piece. Neighbouring pieces, of a wall or of a piece of furniture, are not independent
+either: their correlation falls from 1 to 0 over ``alike`` pieces along either axis.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+import numpy.typing as npt
 
 from slamfusion.align.features import FIELD_TOP, FINE_TABLE, GridFeatures, spread_sample
 from slamfusion.align.pair import Pair
@@ -24,6 +26,9 @@ from slamfusion.geometry import F64
 
 # Side of a piece, metres, for walls of this width; wider walls have larger pieces.
 PIECE_M, PIECE_WIDTH_M = 1.0, 0.15
+# From this number of pieces apart two pieces of good maps are independent: 3 m, the size of large
+# furniture or of a small room.
+ALIKE = 3
 PIECE_POINTS = 8192
 # Sampled wall points of each map; each stands for its share.
 SCORED_POINTS = 4096
@@ -45,15 +50,19 @@ class WallPieces:
         share_most: (P, B) the reference value for ``share``. For good maps only where the other map
             is known; elsewhere what the pieces give, since unseen ground contradicts nothing.
         seen_m: (P,) metres of wall where the other map has seen something.
+        squares: (B, 3) int64, the map (0 or 1), column and row of each piece.
         doubt: weight of the unexplained evidence against a motion. The table of evidence suits bent
             and old maps; two good maps of one place leave little unexplained.
+        alike: from this number of pieces apart two pieces are independent; 1: all are.
     """
 
     evidence: F64
     most: F64
     share_most: F64
     seen_m: F64
+    squares: npt.NDArray[np.int64]
     doubt: float = 0.0
+    alike: int = 1
 
     @cached_property
     def weighed(self) -> F64:
@@ -82,19 +91,30 @@ class WallPieces:
         most = np.maximum(self.share_most.sum(axis=1), 1e-9)
         return np.asarray(self.evidence.sum(axis=1) / most)
 
-    def better(self, k: int, other: int) -> float:
-        """Return the number of pieces of equal weight that prefer motion k to the other."""
-        return float(pieces_for(self.weighed[k] - self.weighed[other]))
+    def count(self, values: F64, noise: float = 0.0) -> F64:
+        """Return the number of independent pieces of equal weight among values (..., B).
 
+        This is (sum)^2 / (the sum of r v w over all pairs of pieces) with values v and w and their
+        correlation r; it has the sign of the sum. ``noise`` is added to the divisor, so that small
+        values of many pieces do not count.
+        """
+        windows = values
+        if self.alike > 1:
+            index, starts = self._windows
+            windows = np.add.reduceat(values[..., index], starts, axis=-1)
+        squares = np.sum(windows * windows, axis=-1) / self.alike**2 + noise
+        total = values.sum(axis=-1)
+        return np.asarray(total * np.abs(total) / np.where(squares > 0.0, squares, 1.0))
 
-def pieces_for(values: F64, noise: float = 0.0) -> F64:
-    """Return (sum)^2 / sum of squares of ``values`` (..., B), with the sign of the sum.
-
-    This is the equivalent number of pieces of equal weight. ``noise`` is added to the sum of
-    squares, so that small values of many pieces do not count.
-    """
-    squares, total = np.sum(values * values, axis=-1) + noise, values.sum(axis=-1)
-    return np.asarray(total * np.abs(total) / np.where(squares > 0.0, squares, 1.0))
+    @cached_property
+    def _windows(self) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+        """The pieces in each square of ``alike`` by ``alike`` pieces, and the first of each."""
+        steps = np.arange(self.alike)
+        cols, rows = (self.squares[:, axis, None] + steps for axis in (1, 2))
+        columns = self.squares[:, 0, None] * (int(cols.max()) + 1) + cols
+        keys = (columns[:, :, None] * (int(rows.max()) + 1) + rows[:, None, :]).ravel()
+        order = np.argsort(keys, kind="stable")
+        return order // self.alike**2, np.flatnonzero(np.diff(keys[order], prepend=-1))
 
 
 def wall_pieces(
@@ -118,12 +138,13 @@ def wall_pieces(
     """
     sides = list(pair.sides(motions, scales=scales))
     found = _pieces(pair, sides, sigma, points, sided=sided)
-    evidence, most, share_most, seen_m = zip(*found, strict=True)
+    evidence, most, share_most, seen_m, squares = zip(*found, strict=True)
     return WallPieces(
         np.concatenate(evidence, axis=1),
         np.concatenate(most, axis=1),
         np.concatenate(share_most, axis=1),
         np.asarray(seen_m[0] + seen_m[1]),
+        np.concatenate([np.insert(own, 0, k, axis=1) for k, own in enumerate(squares)]),
     )
 
 
@@ -134,18 +155,18 @@ def _pieces(
     most_points: int,
     *,
     sided: bool,
-) -> list[tuple[F64, F64, F64, F64]]:
-    """Return (P, B) evidence, ``most`` and ``share_most`` of a map's pieces, (P,) metres seen.
+) -> list[tuple[F64, F64, F64, F64, npt.NDArray[np.int64]]]:
+    """Return what ``WallPieces`` has of each map's pieces; the last, (B, 2), are their squares.
 
     Of each side: a map, motions (4, P), and the other map.
     """
     size = pair.resolution
     side = PIECE_M * max(1.0, sigma * size / PIECE_WIDTH_M)
+    cut = size / (2.0 * side), most_points
     looked_up = []
     for own, motions, other in sides:
         table, words = other.piece_words(sigma)
-        pieces = own.pieces(size / (2.0 * side), most_points)
-        looked_up.append(PieceSide(pieces, motions, words, table.base))
+        looked_up.append(PieceSide(own.pieces(*cut), motions, words, table.base))
     found = []
     sums = pair.device.piece_sums(*looked_up, sided=sided)
     for (own, _, other), (given, could, met) in zip(sides, sums, strict=True):
@@ -154,9 +175,9 @@ def _pieces(
         metres = 0.5 * size * len(level.points) / max(1, min(len(level.points), most_points))
         unit = table.unit * metres
         most = met * (table.span * unit)
-        found.append(
-            (given * unit, most, could * unit if sided else most, met.sum(axis=1) * metres)
-        )
+        share_most = could * unit if sided else most
+        seen_m = met.sum(axis=1) * metres
+        found.append((given * unit, most, share_most, seen_m, own.piece_squares(*cut)))
     return found
 
 

@@ -48,6 +48,11 @@ KINDS: tuple[tuple[dict[str, Any], DecisionKind, str], ...] = (
     (EVEN | {"share": 0.4}, "different place", "do not show the same place"),
     (EVEN | {"rival_ratio": 0.4}, "different place", "another pose explains 40% of that"),
     ({"expected_wrong": 0.5, "share": 0.3}, "bent", "70% of the common walls contradict"),
+    (
+        EVEN | {"nearest": "its mirror image", "mirrored": 0.8},
+        "different place",
+        "one of the mirror image, which is no place, 80% of that",
+    ),
     ({"mirrored": 2.0}, "mirrored", "fits its mirror image as well or better, 2.0 times"),
     ({"scale": 1.1}, "other scale", "differ in scale by 10.0%: is a resolution wrong?"),
 )
@@ -133,6 +138,22 @@ def test_the_nearest_hypothesis_is_the_one_that_is_not_beaten(answer: Answer) ->
         assert all(answer.expected(name) < EXPECTED_WRONG_MAX for name in answer.against)
     elif others.against:
         assert others.wrong <= answer.wrong
+
+
+@settings(max_examples=examples(100), deadline=None)
+@given(answer=answers(), ratios=st.tuples(st.floats(0.0, 2.0), st.floats(0.0, 2.0)))
+def test_an_image_that_fits_better_never_helps(answer: Answer, ratios: tuple[float, float]) -> None:
+    less, more = (answer.compared_with_image(ratio) for ratio in sorted(ratios))
+    assert answer.is_accepted >= less.is_accepted >= more.is_accepted
+
+
+def test_an_image_that_fits_as_well_leaves_nothing_of_a_lead() -> None:
+    against: dict[Hypothesis, float] = {"no relation": 30.0, "another pose": 8.0}
+    good = Answer(
+        "good", np.zeros(3), np.zeros((0, 3)), against, 20.0, 0.0, 0.9, 40.0, (1.0, 0.002)
+    )
+    leads = [good.compared_with_image(r).against["its mirror image"] for r in (0.4, 0.75, 1.5)]
+    assert leads == pytest.approx([8.0, 4.0, 0.0])
 
 
 def test_maps_that_leave_walls_unexplained_are_not_read_as_good() -> None:

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from slamfusion.align.features import GridFeatures
 from slamfusion.align.pair import Pair
-from slamfusion.align.scores import PIECE_M, PIECE_POINTS, WallPieces, pieces_for, wall_pieces
+from slamfusion.align.scores import ALIKE, PIECE_M, PIECE_POINTS, WallPieces, wall_pieces
 from slamfusion.align.search import score_motions
 from slamfusion.compute import ComputeDevice
 from slamfusion.compute.layout import FACES, FACING_PARTS, OPPOSED_PARTS
@@ -25,14 +25,12 @@ SIGMA = 1.5
 FINITE = st.integers(-400, 400).map(lambda n: n / 8.0)
 
 
-def pieces_of(*evidence: list[float]) -> WallPieces:
-    table = np.array(evidence, dtype=np.float64)
-    return table_of(table, np.ones_like(table))
-
-
-def table_of(evidence: np.ndarray, most: np.ndarray, doubt: float = 0.0) -> WallPieces:
-    """Motions under which each piece lands where the other map knows its ground."""
-    return WallPieces(evidence, most, most, np.ones(len(evidence)), doubt)
+def table_of(
+    evidence: np.ndarray, most: np.ndarray, doubt: float = 0.0, apart: int = ALIKE
+) -> WallPieces:
+    """Pieces in a row, each landing where the other map knows its ground."""
+    squares = apart * np.arange(evidence.shape[1])[:, None] * (0, 1, 0)
+    return WallPieces(evidence, most, most, np.ones(len(evidence)), squares, doubt, ALIKE)
 
 
 def some_motions(ref: GridFeatures, seed: int, count: int = 6) -> np.ndarray:
@@ -98,7 +96,7 @@ def test_a_map_on_itself_gives_all_that_it_could(device: ComputeDevice) -> None:
     pieces = wall_pieces(Pair(grid, grid), np.array([[*grid.centre, 0.0]]), SIGMA)
     assert pieces.share() == pytest.approx(1.0)
     assert pieces.seen_m == pytest.approx(0.1 * len(grid.level(1).points))
-    assert 10 < pieces_for(pieces.weighed[0]) <= pieces.evidence.shape[1]
+    assert 10 < pieces.count(pieces.weighed[0]) <= pieces.evidence.shape[1]
 
 
 def test_where_the_maps_share_nothing_there_is_no_evidence(device: ComputeDevice) -> None:
@@ -106,21 +104,36 @@ def test_where_the_maps_share_nothing_there_is_no_evidence(device: ComputeDevice
     pieces = wall_pieces(Pair(grid, grid), np.array([[900.0, 900.0, 1.0]]), SIGMA)
     assert not pieces.evidence.any()
     assert pieces.seen_m.tolist() == pieces.share().tolist() == [0.0]
-    assert pieces_for(pieces.weighed[0]) == 0.0
+    assert pieces.count(pieces.weighed[0]) == 0.0
 
 
 @given(value=st.floats(0.01, 100.0), count=st.integers(1, 50), idle=st.integers(0, 20))
 def test_n_pieces_that_say_the_same_are_n(value: float, count: int, idle: int) -> None:
     """Pieces that say nothing are none; pieces that speak against count with a minus."""
     rows = np.array([[value] * count + [0.0] * idle, [-value] * (count + idle)])
-    assert pieces_for(rows) == pytest.approx([count, -(count + idle)])
+    assert table_of(rows, rows).count(rows) == pytest.approx([count, -(count + idle)])
 
 
-@given(pairs=st.lists(st.tuples(FINITE, FINITE), min_size=1, max_size=30))
-def test_better_is_antisymmetric(pairs: list[tuple[float, float]]) -> None:
-    pieces = pieces_of([a for a, _ in pairs], [b for _, b in pairs])
-    assert pieces.better(0, 1) == -pieces.better(1, 0)
-    assert pieces.better(0, 0) == 0.0
+@given(values=st.lists(FINITE, min_size=1, max_size=30))
+def test_what_prefers_one_motion_contradicts_the_other(values: list[float]) -> None:
+    row = np.array(values)
+    pieces = table_of(row[None], row[None], apart=1)
+    assert pieces.count(row) == -pieces.count(-row)
+
+
+@pytest.mark.parametrize("apart", range(1, ALIKE + 1))
+def test_neighbouring_pieces_are_less_than_two(apart: int) -> None:
+    """Two pieces with correlation r are 2 / (1 + r) independent ones."""
+    row = np.array([3.0, 3.0])
+    r = 1.0 - apart / ALIKE
+    assert table_of(row[None], row[None], apart=apart).count(row) == pytest.approx(2 / (1 + r))
+
+
+def test_pieces_of_two_maps_are_independent() -> None:
+    squares = np.array([(0, 4, 7), (1, 4, 7)])
+    row = np.array([3.0, 3.0])
+    pieces = WallPieces(row[None], row[None], row[None], np.ones(1), squares, alike=ALIKE)
+    assert pieces.count(row) == 2.0
 
 
 def grown(picture: str, times: int) -> OccupancyGrid:
