@@ -487,14 +487,13 @@ def _bent_at(evidence: PathEvidence, name: str) -> npt.NDArray[np.bool_]:
 def _disagreement(evidence: PathEvidence) -> F64:
     """Return the mean square, (3, 3), of how far inputs end from the fused path.
 
-    Only of inputs that the scans support as well: the path of the others is known to be wrong.
+    Only of inputs that the scans support as well: the path of the others is known to be wrong. If
+    they contradict all, no input confirms the fused path, and all count.
     """
-    gaps = [
-        path_gaps(evidence, name, FUSED)[-1]
-        for name in evidence.scores
-        if name != FUSED and not _is_contradicted(evidence, name)
-    ]
-    return np.asarray(np.mean([np.outer(gap, gap) for gap in gaps] or [np.zeros((3, 3))], axis=0))
+    inputs = [name for name in evidence.scores if name != FUSED]
+    names = [name for name in inputs if not _is_contradicted(evidence, name)] or inputs
+    gaps = np.array([path_gaps(evidence, name, FUSED)[-1] for name in names])
+    return np.asarray(gaps.T @ gaps / len(gaps))
 
 
 def _is_contradicted(evidence: PathEvidence, name: str) -> bool:

@@ -1,21 +1,8 @@
 """Fuse maps that arrive repeatedly; the fused frame never moves.
 
-docs/concepts/live_fusion.md states the rules. In the code:
-
-* **Frame.** The reference of the first fusion defines the frame, the lattice and its phase until
-  ``reset``. A single map cannot be checked, so the first fusion needs ``live.minimum_inputs``.
-* **Transforms** belong to an input's map frame, not to its map: one is kept while most of its old
-  walls stay in place. Starts are used until an input has a place.
-* **Search.** An input is searched everywhere if its tracked score and the common ground both fall
-  below a share of the search's result. An unchanged map that jumped is searched again with another
-  voter, or with swapped roles. A long search without a result is followed by a longer pause.
-* **Reference.** It changes if it is lost, if its walls moved, or if two others agree with each
-  other and not with it; never because another looks better.
-* **Doubt.** A map in doubt does not vote, nor does its older one. It takes no room in the map.
-* **Evidence.** If scans are received they decide whose poses are wrong, not the distances between
-  poses. A map drawn from the scans replaces the votes of all inputs whose poses it uses; maps
-  without poses vote next to it. Before the first fusion it defines the fused frame, and inputs are
-  tried where their poses place them.
+docs/concepts/live_fusion.md states the rules of frame, reference, search, doubt and evidence. A
+transform belongs to an input's map frame, not to its map. A map in doubt takes no room in the fused
+map, and the older map of its input does not vote either.
 """
 
 from __future__ import annotations
