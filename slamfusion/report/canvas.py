@@ -171,11 +171,15 @@ def write_note(axes: Axes, text: str) -> None:
 
 
 def label_axes(axes: Axes, title: str = "", x: str = "", y: str = "") -> None:
-    """Write the name of axes above them, on the left, and what is along their sides."""
+    """Write the name of axes above them, on the left, and what is along their sides.
+
+    A label that is not given stays.
+    """
     if title:
         axes.set_title(plain_text(title), loc="left", color=INK, fontsize=SMALL_PT, pad=3)
     for set_label, text in ((axes.set_xlabel, x), (axes.set_ylabel, y)):
-        set_label(plain_text(text), color=INK, fontsize=SMALL_PT, labelpad=2)
+        if text:
+            set_label(plain_text(text), color=INK, fontsize=SMALL_PT, labelpad=2)
 
 
 def plain_text(text: str) -> str:

@@ -48,6 +48,13 @@ def test_one_moment_in_a_long_run_stays_in_the_picture(value: float) -> None:
     assert (away > 0) == (value < 1.0)
 
 
+def test_every_quantity_has_its_unit_also_the_lowest() -> None:
+    times = np.arange(3.0)
+    drawn = [Series("speed", "m/s", times, times), Series("turn", "rad/s", times, times)]
+    labels = [axes.get_ylabel() for axes in series_picture(drawn).axes]
+    assert labels == ["[m/s]", "[rad/s]"]
+
+
 def test_what_is_not_known_leaves_a_gap() -> None:
     values = np.full(1000, 4.0)
     values[400:600] = np.nan
