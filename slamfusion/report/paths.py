@@ -320,7 +320,7 @@ def evidence_section(
         "How well each path predicts the scans, over the drive",
         "Above: mean log-likelihood of a hit under what other parts of the drive drew by the same "
         "path; higher is better. Below: distance from the recommended path, after each path is "
-        "aligned with it where they agree most. Tinted: a path has left the recommended one.",
+        "aligned with it where they agree most.",
         legend=colours,
     )
     return Section("Why this path", answer.headline + ".", [picture], tables().scores(answer.paths))
