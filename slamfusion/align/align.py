@@ -6,7 +6,7 @@ import time
 from collections.abc import Collection
 from dataclasses import replace
 
-from slamfusion.align.answer import conclude, rejected_alignment
+from slamfusion.align.answer import conclude
 from slamfusion.align.decide import DECISIONS, DecisionKind
 from slamfusion.align.features import GridFeatures
 from slamfusion.align.normalize import check_resampling, common_resolution, normalize_grid
@@ -73,21 +73,25 @@ def align_pair(
             the search is thorough, else none.
     """
     began = time.perf_counter()
+
+    def rejected(reason: str) -> Alignment:
+        still, moved = (features.grid.name for features in pair)
+        time_s = time.perf_counter() - began
+        return Alignment(moving=moved, reference=still, reason=reason, time_s=time_s)
+
     for features in pair:
         if not len(features.wall_points):
-            reason = f"{features.grid.name} has no occupied cell, so there is nothing to align"
-            return rejected_alignment(pair, reason, time.perf_counter() - began)
+            name = features.grid.name
+            return rejected(f"{name} has no occupied cell, so there is nothing to align")
 
     window = window_around(pair, config, start)
     near = f"within {start.reach} of the start" if isinstance(start, StartPose) else None
     if near is not None and not can_meet(pair, window):
-        reason = f"the maps do not meet {near}"
-        return rejected_alignment(pair, reason, time.perf_counter() - began)
+        return rejected(f"the maps do not meet {near}")
 
     found = search_window(pair, config, window)
     if not len(found.motions):
-        reason = "no fit inside the window; widen it" if near is None else f"no fit {near}"
-        return rejected_alignment(pair, reason, time.perf_counter() - began)
+        return rejected("no fit inside the window; widen it" if near is None else f"no fit {near}")
     expected = Pose2() if start is None and config.shared_frame else pose_of(start)
     if image_after is None:
         image_after = DECISIONS if thorough else ()

@@ -64,7 +64,6 @@ def conclude(
     answer = best_answer(pair, found, chances)
     best, statistics = _placed(pair, found, answer)
     overlap, error = statistics["overlap"], statistics.pop("error")
-    transform = pair.transform_of(best)
     shown = np.concatenate((best[None], answer.others[:1]))
     scores = [float(score) for score in rank(pair, shown)]
     runner_up = None
@@ -80,7 +79,7 @@ def conclude(
         reference=pair.reference.grid.name,
         accepted=decision.accepted,
         reason=decision.reason,
-        transform=transform,
+        transform=pair.transform_of(best),
         score=scores[0],
         overlap=overlap,
         error=error,
@@ -206,22 +205,6 @@ def _profile(pair: Pair, coarse: CoarseSearch) -> F64:
     yaws = np.array([wrap_angle(float(yaw) + turn) for yaw in coarse.yaws])
     order = np.argsort(yaws)
     return np.stack((yaws[order], coarse.best[order]), axis=1)
-
-
-def rejected_alignment(pair: Pair, reason: str, time_s: float) -> Alignment:
-    """Return the record of a pair that could not be searched."""
-    return Alignment(
-        moving=pair.moving.grid.name,
-        reference=pair.reference.grid.name,
-        accepted=False,
-        reason=reason,
-        transform=Pose2(),
-        score=0.0,
-        overlap=0.0,
-        error=0.0,
-        runner_up=None,
-        time_s=time_s,
-    )
 
 
 def measure(pair: Pair, motion: F64) -> dict[str, float]:

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from slamfusion.align.decide import DecisionKind, MatchEvidence, Strength, strength_of
 from slamfusion.geometry import Pose2
-from slamfusion.grid import OccupancyGrid
+from slamfusion.grid import IDENTITY, OccupancyGrid
 from slamfusion.json_values import POSE, printed_as
 from slamfusion.vote.tiles import GridLayer
 
@@ -46,21 +46,21 @@ class Alignment:
     """The moving map."""
     reference: str
     """The reference map."""
-    accepted: bool
+    accepted: bool = False
     """Whether the alignment is accepted."""
     reason: str
     """Why (not)."""
-    transform: Pose2 = field(metadata=POSE)
+    transform: Pose2 = field(default=IDENTITY, metadata=POSE)
     """Transform of a point of the moving map's frame into the reference's."""
-    score: float
+    score: float = 0.0
     """Symmetric wall score, 1 for identical maps; larger is better."""
-    overlap: float
+    overlap: float = 0.0
     """Cells known in both over known cells of the smaller map, 0 to 1."""
-    error: float
+    error: float = 0.0
     """[F16] map error over the reference's known box; smaller is better."""
-    runner_up: RunnerUp | None
+    runner_up: RunnerUp | None = None
     """The best distinct peak other than the answer; null when there is none."""
-    time_s: float
+    time_s: float = 0.0
     """Wall time, seconds."""
     statistics: dict[str, float] = field(default_factory=dict)
     """Further numbers of the answer, by name."""

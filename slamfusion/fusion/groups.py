@@ -13,7 +13,6 @@ from statistics import median
 import numpy as np
 
 from slamfusion.align.align import align_pair
-from slamfusion.align.answer import rejected_alignment
 from slamfusion.align.features import GridFeatures
 from slamfusion.align.pair import Pair
 from slamfusion.align.records import Alignment
@@ -332,8 +331,10 @@ def _rank(pair: Alignment) -> int:
 
 def _own(features: GridFeatures) -> Alignment:
     """Return the reference's own record."""
-    record = rejected_alignment(Pair(features, features), "the reference", 0.0)
-    return replace(record, accepted=True, score=1.0, overlap=1.0)
+    name, reason = features.grid.name, "the reference"
+    return Alignment(
+        moving=name, reference=name, accepted=True, reason=reason, score=1.0, overlap=1.0
+    )
 
 
 def _left_out(

@@ -7,8 +7,6 @@ import math
 import numpy as np
 import pytest
 
-from slamfusion.align.answer import rejected_alignment
-from slamfusion.align.pair import Pair
 from slamfusion.align.records import Alignment
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig
@@ -23,7 +21,6 @@ from tests.fusion.drawings import (
     building_parts,
     degraded,
     draw,
-    features_of,
     fusion_config,
     off_by,
     with_origin,
@@ -184,13 +181,12 @@ def test_a_start_makes_little_common_ground_enough(device: ComputeDevice, seed: 
 
 
 def test_a_pair_that_was_not_searched_has_no_evidence(device: ComputeDevice) -> None:
-    a, b = (features_of(building(1).with_name(name), device) for name in "ab")
-    found = rejected_alignment(Pair(a, b), "why", 1.5)
-    assert (found.accepted, found.reason, found.decision) == (False, "why", "not searched")
+    empty = draw("........", name="empty")
+    found = align_grids(draw("\n".join(ROOM), name="room"), empty, QUICK, device)
+    assert (found.accepted, found.decision) == (False, "not searched")
+    assert found.reason == "empty has no occupied cell, so there is nothing to align"
     assert found.evidence is None
-    record = record_keys(found)
-    assert record["match_evidence"] is None
-    assert record["match_decision"] == "not searched"
+    assert found.strength is None
 
 
 def test_a_window_that_holds_the_answer_is_judged_against_rivals_of_everywhere(

@@ -8,7 +8,6 @@ from typing import Any
 
 import pytest
 
-from slamfusion.align.answer import rejected_alignment
 from slamfusion.align.features import GridFeatures
 from slamfusion.align.pair import Pair
 from slamfusion.align.records import Alignment
@@ -143,7 +142,7 @@ def test_the_best_pair_of_each_map_is_searched_where_nothing_is_promising(
 
     def refuse(pair: Pair, *_: Any, **__: Any) -> Alignment:
         searched.extend(features.grid.name for features in pair)
-        return rejected_alignment(pair, "no", 0.0)
+        return Alignment(moving="a", reference="b", reason="no")
 
     monkeypatch.setattr(groups, "align_pair", refuse)
     with pytest.raises(AlignmentError, match="no two of the inputs"):
