@@ -72,9 +72,9 @@ def find_consensus(measured: Measurements, may_be_outlier: npt.NDArray[np.bool_]
         scale = _scale(errors)
         closes = errors <= min(LARGE, TYPICAL_TIMES * MEDIAN * scale)
         mates = np.bincount(pairs[closes].ravel(), minlength=len(closures.first))
-        is_borne_out = mates > 0
+        is_supported = mates > 0
         reach *= 2
-        is_enough = is_borne_out.mean() >= ENOUGH or reach > FAR_POSES
+        is_enough = is_supported.mean() >= ENOUGH or reach > FAR_POSES
         if is_enough or places.count_neighbors(places, reach, p=np.inf) > MOST_PAIRS:
             return Consensus(mates, scale)
 

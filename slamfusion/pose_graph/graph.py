@@ -48,9 +48,16 @@ class PoseGraph:
                 f"{len(edges)} edges do not fit {len(motions)} motions, {len(information)} "
                 f"information matrices and {len(is_closure)} closure flags"
             )
-        _check_poses(poses)
-        _check_edges(edges, len(poses))
-        _check_measurements(edges, motions, information)
+        if len(poses) == 0:
+            raise GraphError("the graph has no pose")
+        is_there = ((edges >= 0) & (edges < len(poses))).all(axis=1)
+        is_finite = np.isfinite(motions).all(axis=1) & np.isfinite(information).all(axis=(1, 2))
+        _refuse("pose", ~np.isfinite(poses).all(axis=1), "is not finite", None)
+        _refuse("edge", ~is_there, "leads to no pose", edges)
+        _refuse("edge", edges[:, 0] == edges[:, 1], "joins a pose to itself", edges)
+        _refuse("edge", ~is_finite, "is not finite", edges)
+        what = "has an information that is not symmetric and positive definite"
+        _refuse("edge", ~is_positive_definite(information), what, edges)
         for name, array in (
             ("poses", poses),
             ("edges", edges),
@@ -156,37 +163,14 @@ def _adjacency(edges: npt.NDArray[np.int64], count: int) -> scipy.sparse.coo_mat
     return scipy.sparse.coo_matrix((ones, (edges[:, 0], edges[:, 1])), shape=(count, count))
 
 
-def _check_poses(poses: F64) -> None:
-    """Refuse an empty graph and poses that are not finite."""
-    if len(poses) == 0:
-        raise GraphError("the graph has no pose")
-    bad = np.flatnonzero(~np.isfinite(poses).all(axis=1))
+def _refuse(
+    kind: str, is_bad: npt.NDArray[np.bool_], what: str, edges: npt.NDArray[np.int64] | None
+) -> None:
+    """Raise an error that names the first bad pose or edge, and how many there are."""
+    bad = np.flatnonzero(is_bad)
     if len(bad):
-        raise GraphError(f"pose {bad[0]} is not finite; {len(bad)} such poses")
-
-
-def _check_edges(edges: npt.NDArray[np.int64], count: int) -> None:
-    bad = np.flatnonzero(((edges < 0) | (edges >= count)).any(axis=1))
-    if len(bad):
-        message = f"edge {bad[0]} from {edges[bad[0], 0]} to {edges[bad[0], 1]} leads to no pose"
-        raise GraphError(message)
-    bad = np.flatnonzero(edges[:, 0] == edges[:, 1])
-    if len(bad):
-        raise GraphError(f"edge {bad[0]} leads from pose {edges[bad[0], 0]} to itself")
-
-
-def _check_measurements(edges: npt.NDArray[np.int64], motions: F64, information: F64) -> None:
-    """Refuse measurements that are not finite or have no weight in some direction."""
-    finite = np.isfinite(motions).all(axis=1) & np.isfinite(information).all(axis=(1, 2))
-    bad = np.flatnonzero(~finite)
-    if len(bad) == 0:
-        bad = np.flatnonzero(~is_positive_definite(information))
-        what = "has an information that is not symmetric and positive definite"
-    else:
-        what = "is not finite"
-    if len(bad):
-        start, end = edges[bad[0]]
-        raise GraphError(f"edge {bad[0]} from {start} to {end} {what}; {len(bad)} such edges")
+        ends = "" if edges is None else f" from {edges[bad[0], 0]} to {edges[bad[0], 1]}"
+        raise GraphError(f"{kind} {bad[0]}{ends} {what}; {len(bad)} such {kind}s")
 
 
 def is_positive_definite(matrices: F64) -> npt.NDArray[np.bool_]:

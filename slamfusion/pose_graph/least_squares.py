@@ -159,7 +159,13 @@ class NormalEquations:
         self.measurements = measurements
         self.fixed = tuple(fixed)
         self._count = count
-        self.free = self._order()
+        is_free = np.ones(count, np.bool_)
+        is_free[list(self.fixed)] = False
+        free = np.flatnonzero(is_free)
+        place = np.full(count, -1)
+        place[free] = np.arange(len(free))
+        ends = place[measurements.edges]
+        self.free = free[elimination_order(ends[(ends >= 0).all(axis=1)], len(free))]
         self.place = np.full(count, -1)
         self.place[self.free] = np.arange(len(self.free))
         self._pattern()
@@ -220,15 +226,6 @@ class NormalEquations:
         step = np.zeros((self._count, 3))
         step[self.free] = moved.reshape(-1, 3)
         return step, float(damped - np.dot(self.gradient, moved))
-
-    def _order(self) -> Indices:
-        is_free = np.ones(self._count, np.bool_)
-        is_free[list(self.fixed)] = False
-        free = np.flatnonzero(is_free)
-        place = np.full(self._count, -1)
-        place[free] = np.arange(len(free))
-        ends = place[self.measurements.edges]
-        return free[elimination_order(ends[(ends >= 0).all(axis=1)], len(free))]
 
     def _pattern(self) -> None:
         """Find source and target of each block of the matrix.
@@ -314,7 +311,12 @@ def _yaws(equations: NormalEquations, yaws: F64) -> F64:
     """Return the yaws of the free poses from those of the fixed ones, (F,)."""
     measured = equations.measurements
     start, end = measured.start, measured.end
-    weight = _yaw_information(measured.upper)
+    # The information of yaw with x and y unknown.
+    xx, xy, x_yaw, yy, y_yaw, yaw = measured.upper
+    known = (yy * x_yaw * x_yaw - 2.0 * xy * x_yaw * y_yaw + xx * y_yaw * y_yaw) / (
+        xx * yy - xy * xy
+    )
+    weight = np.maximum(yaw - known, 1e-9 * yaw)
     turn = np.exp(1j * measured.motion[2])
     count, free = len(yaws), equations.free
     rows = np.concatenate((start, end, end, start))
@@ -324,15 +326,6 @@ def _yaws(equations: NormalEquations, yaws: F64) -> F64:
     fixed = list(equations.fixed)
     pull = -(matrix[:, fixed] @ np.exp(1j * yaws[fixed]))[free]
     return np.asarray(np.angle(factorise(matrix[:, free][free]).solve(pull)), np.float64)
-
-
-def _yaw_information(information: F64) -> F64:
-    """Return the information of yaw with x and y unknown, (M,), from (6, M)."""
-    xx, xy, x_yaw, yy, y_yaw, yaw = information
-    known = (yy * x_yaw * x_yaw - 2.0 * xy * x_yaw * y_yaw + xx * y_yaw * y_yaw) / (
-        xx * yy - xy * xy
-    )
-    return np.asarray(np.maximum(yaw - known, 1e-9 * yaw))
 
 
 # Damping after a first step that increased the cost, and the damping at which the search stops.
@@ -391,83 +384,52 @@ def at_once(in_steps: Callable[Parameters, Steps[Result]]) -> Callable[Parameter
     return done
 
 
-def descend(
+def descend(  # noqa: C901 - the method, from top to bottom
     equations: NormalEquations, poses: F64, *, max_iterations: int = 100, tolerance: float = 1e-5
 ) -> Steps[Descent]:
     """Descend from poses (N, 3) to the nearest minimum of the squared errors.
 
     It stops after a step that promised to lower the sum by less than the share ``tolerance``.
     """
-    walk = _Walk(equations, poses)
+    measured = equations.measurements
+
+    def cost_at(poses: F64) -> float:
+        return float(measured.squared_errors(poses).sum())
+
+    best, costs = poses, [cost_at(poses)]
+    # Steps since ``best``, each of which increased the cost.
+    damping, risen, patience = 0.0, 0, PATIENCE
     for iteration in range(1, max_iterations + 1):
-        step, promised = walk.next_step()
-        yield
-        cost = walk.cost_at(walk.poses + step)
-        is_small = promised <= tolerance * walk.costs[-1] + NEGLIGIBLE
-        if cost <= walk.costs[-1]:
-            is_done = is_small and walk.damping == 0.0
-            walk.keep(step, cost)
-            if is_done:
-                return Descent(walk.best, tuple(walk.costs), iteration, is_converged=True)
-        elif walk.risen == 0 and (is_small or walk.damping > LARGEST_DAMPING):
-            # Only rounding is left, or no step leads down.
-            return Descent(walk.best, tuple(walk.costs), iteration, is_converged=is_small)
-        else:
-            walk.cope(step, cost)
-    return Descent(walk.best, tuple(walk.costs), max_iterations, is_converged=False)
-
-
-class _Walk:
-    """The progress of a descent.
-
-    Attributes:
-        best: (N, 3) poses of the least cost so far.
-        costs: of the start and of each improvement.
-        poses: (N, 3) where the next step starts.
-        risen: steps since ``best``, each with a greater cost.
-    """
-
-    def __init__(self, equations: NormalEquations, poses: F64) -> None:
-        self._equations = equations
-        self.best = self.poses = poses
-        self.costs = [self.cost_at(poses)]
-        self.damping = 0.0
-        self.risen, self._patience = 0, PATIENCE
-
-    def cost_at(self, poses: F64) -> float:
-        return float(self._equations.measurements.squared_errors(poses).sum())
-
-    def next_step(self) -> tuple[F64, float]:
-        """Return the step and its predicted decrease; NaN and infinity if there is none."""
-        self._equations.linearise(self.poses)
+        equations.linearise(poses)
         try:
-            return self._equations.step(self.damping)
+            step, promised = equations.step(damping)
         except RuntimeError:  # singular in this arithmetic; damping fixes it
-            return np.full_like(self.poses, np.nan), np.inf
-
-    def keep(self, step: F64, cost: float) -> None:
-        """Take a step that lowers the cost."""
-        if self.damping == 0.0:
-            self._patience = PATIENCE
-        self._go(step, cost)
-        self.damping = 0.1 * self.damping if self.damping > FIRST_DAMPING else 0.0
-
-    def cope(self, step: F64, cost: float) -> None:
-        """Handle a step that increases the cost: accept it for now, go back, or shorten it."""
-        if self.damping == 0.0 and self.risen < self._patience and np.isfinite(cost):
-            self.poses, self.risen = self.poses + step, self.risen + 1
-            return
-        if self.risen > 0:
-            self.poses, self.risen, self._patience = self.best, 0, 0
-            return
-        costs = [self.cost_at(self.poses + share * step) for share in SHARES]
-        least = int(np.argmin(costs))
-        if costs[least] <= self.costs[-1]:
-            self._go(SHARES[least] * step, costs[least])
+            step, promised = np.full_like(poses, np.nan), np.inf
+        yield
+        cost = cost_at(poses + step)
+        is_small = promised <= tolerance * costs[-1] + NEGLIGIBLE
+        if cost <= costs[-1]:
+            best = poses = poses + step
+            costs.append(cost)
+            risen = 0
+            if damping == 0.0:
+                if is_small:
+                    return Descent(best, tuple(costs), iteration, is_converged=True)
+                patience = PATIENCE
+            damping = 0.1 * damping if damping > FIRST_DAMPING else 0.0
+        elif risen == 0 and (is_small or damping > LARGEST_DAMPING):
+            # Only rounding is left, or no step leads down.
+            return Descent(best, tuple(costs), iteration, is_converged=is_small)
+        elif damping == 0.0 and risen < patience and np.isfinite(cost):
+            poses, risen = poses + step, risen + 1
+        elif risen > 0:
+            poses, risen, patience = best, 0, 0
         else:
-            self.damping = max(10.0 * self.damping, FIRST_DAMPING)
-
-    def _go(self, step: F64, cost: float) -> None:
-        self.best = self.poses = self.poses + step
-        self.costs.append(cost)
-        self.risen = 0
+            shorter = [cost_at(poses + share * step) for share in SHARES]
+            least = int(np.argmin(shorter))
+            if shorter[least] <= costs[-1]:
+                best = poses = poses + SHARES[least] * step
+                costs.append(shorter[least])
+            else:
+                damping = max(10.0 * damping, FIRST_DAMPING)
+    return Descent(best, tuple(costs), max_iterations, is_converged=False)

@@ -89,7 +89,18 @@ def optimize_in_steps(
     """
     began = time.perf_counter()
     held = (fixed,) if isinstance(fixed, (int, np.integer)) else tuple(fixed)
-    _check(graph, held)
+    if not held or not all(0 <= pose < len(graph) for pose in held):
+        raise GraphError(f"poses to hold must be some of 0 to {len(graph) - 1}, found {held}")
+    parts, _ = part_labels(graph.edges, len(graph))
+    if parts > 1:
+        raise GraphError(disconnected(parts))
+    was_outlier = None
+    if weights is not None:
+        earlier = np.asarray(weights)
+        if len(earlier) > len(graph.edges):
+            raise GraphError(f"{len(earlier)} earlier weights do not fit {len(graph.edges)} edges")
+        was_outlier = np.zeros(len(graph.edges), np.bool_)
+        was_outlier[: len(earlier)] = earlier < 0.5
     measured = Measurements(graph.edges, graph.motions, graph.information)
     may_be_outlier = graph.is_closure.copy()  # but not those that alone join what they join
     may_be_outlier[joining(graph.edges, graph.is_closure, len(graph))] = False
@@ -98,7 +109,7 @@ def optimize_in_steps(
         poses=graph.poses,
         fixed=held,
         may_be_outlier=may_be_outlier,
-        was_outlier=None if weights is None else _earlier_outliers(graph, np.asarray(weights)),
+        was_outlier=was_outlier,
         tolerated=tolerated,
         max_iterations=max_iterations,
         tolerance=tolerance,
@@ -136,23 +147,6 @@ def chi2_of(graph: PoseGraph, poses: F64 | None = None) -> F64:
     """Return the squared error of each edge in its deviations, (M,), by default at its poses."""
     measured = Measurements(graph.edges, graph.motions, graph.information)
     return measured.squared_errors(graph.poses if poses is None else poses)
-
-
-def _check(graph: PoseGraph, held: tuple[int, ...]) -> None:
-    if not held or not all(0 <= pose < len(graph) for pose in held):
-        raise GraphError(f"poses to hold must be some of 0 to {len(graph) - 1}, found {held}")
-    parts, _ = part_labels(graph.edges, len(graph))
-    if parts > 1:
-        raise GraphError(disconnected(parts))
-
-
-def _earlier_outliers(graph: PoseGraph, weights: F64) -> npt.NDArray[np.bool_]:
-    """Return the outliers, (M,), of earlier weights, (K,)."""
-    outliers = np.zeros(len(graph.edges), np.bool_)
-    if len(weights) > len(outliers):
-        raise GraphError(f"{len(weights)} earlier weights do not fit {len(outliers)} edges")
-    outliers[: len(weights)] = weights < 0.5
-    return outliers
 
 
 def _start(problem: Problem, graph: PoseGraph, start: Start) -> F64 | None:

@@ -23,11 +23,6 @@ def turned(covariance: F64, yaw_rad: F64) -> F64:
     return np.asarray(turn @ covariance @ turn.transpose(0, 2, 1))
 
 
-def turned_vectors(vectors: F64, yaw_rad: F64) -> F64:
-    """Return vectors of x, y, yaw, (K, 3), in such a frame."""
-    return np.asarray((_turns(yaw_rad) @ vectors[..., None])[..., 0])
-
-
 def moved(covariance: F64, way: F64) -> F64:
     """Return covariances (K, 3, 3) at another point of the body, at an offset (K, 2 or more)."""
     lever = np.tile(np.eye(3), (len(covariance), 1, 1))
@@ -118,18 +113,12 @@ def gates(uncertainty: Uncertainty, poses: F64, candidates: Measurements) -> Gat
         return Gates(np.zeros(0), np.zeros(0))
     measured = poses[candidates.start, 2] + candidates.motions[:, 2]
     own = turned(inverted(candidates.information), measured)
-    vectors = turned_vectors(candidates.errors(poses).T, measured)
+    vectors = (_turns(measured) @ candidates.errors(poses).T[..., None])[..., 0]
     covariance = uncertainty.in_world_axes(candidates.edges) + own
     errors = np.einsum("ki,ki->k", vectors, np.linalg.solve(covariance, vectors[..., None])[..., 0])
-    # The motions that agree as well fill an ellipsoid, limited to those of the map.
-    filled = errors[:, None, None] * covariance
-    whole = np.maximum(np.linalg.det(filled + _room(poses)), np.finfo(np.float64).tiny)
-    return Gates(errors, np.sqrt(np.clip(np.linalg.det(filled) / whole, 0.0, 1.0)))
-
-
-def _room(poses: F64) -> F64:
-    """Return the ellipsoid of all motions between places, (3, 3), as a covariance."""
-    room = np.zeros((3, 3))
+    # The motions that agree as well fill an ellipsoid, limited to those between places of the map.
+    filled, room = errors[:, None, None] * covariance, np.zeros((3, 3))
     room[:2, :2] = ROOM_DEVIATIONS**2 * np.cov(poses[:, :2], rowvar=False)
     room[2, 2] = math.pi**2
-    return room
+    whole = np.maximum(np.linalg.det(filled + room), np.finfo(np.float64).tiny)
+    return Gates(errors, np.sqrt(np.clip(np.linalg.det(filled) / whole, 0.0, 1.0)))

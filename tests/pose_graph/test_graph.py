@@ -26,7 +26,7 @@ def test_arrays_cannot_be_changed() -> None:
         ({"poses": np.zeros((0, 3))}, "no pose"),
         ({"poses": np.full((20, 3), np.nan)}, "pose 0 is not finite; 20"),
         ({"poses": np.zeros((19, 3))}, "edge 18 from 18 to 19 leads to no pose"),
-        ({"edges": np.zeros((20, 2), np.int64)}, "edge 0 leads from pose 0 to itself"),
+        ({"edges": np.zeros((20, 2), np.int64)}, "edge 0 from 0 to 0 joins a pose to itself"),
         ({"motions": np.full((20, 3), np.inf)}, "edge 0 from 0 to 1 is not finite; 20"),
         ({"information": np.tile(-np.eye(3), (20, 1, 1))}, "positive definite; 20"),
         ({"information": np.tile(np.arange(9.0).reshape(3, 3), (20, 1, 1))}, "not symmetric"),

@@ -88,12 +88,14 @@ class FieldMap(NamedTuple):
         pages: (PH, PW) int32, on the device.
         corner: (2,) x and y of the window's lower-left corner in the map frame, cells.
         resolution: metres per cell.
+        whole: a dense copy of all of it, if there is one.
     """
 
     field: DeviceArray[Any]
     pages: DeviceArray[Any]
     corner: F64
     resolution: float
+    whole: FieldWindow | None = None
 
 
 class ScanOnTiles:
@@ -185,6 +187,8 @@ class ScanOnTiles:
 
     def _window_at(self, poses: npt.NDArray[Any], farther: F64 | float) -> FieldWindow:
         """Return a window with all that hits reach at poses (N, 2 or more), cells, and around."""
+        if self._walls.whole is not None:
+            return self._walls.whole
         low, high = poses[:, :2].min(axis=0) - farther, poses[:, :2].max(axis=0) + farther
         if self._window is None or (low < self._low).any() or (high > self._high).any():
             # Room for the climb that follows a first look.

@@ -124,13 +124,9 @@ class _Tiles:
 
     def cells(self, name: str, *index: int) -> tuple[Array, npt.NDArray[np.int64]]:
         """Return one map (H, W), cut to the pages in use, and its first (column, row), (2,)."""
-        pages = self.pages[index]
-        rows, cols = np.nonzero(pages)
-        if len(rows) == 0:
-            rows = cols = np.zeros(1, dtype=np.int64)
-        row0, col0 = int(rows.min()), int(cols.min())
-        height, width = int(rows.max()) + 1 - row0, int(cols.max()) + 1 - col0
-        cut = pages[row0 : row0 + height, col0 : col0 + width]
+        (col0, row0), (col1, row1) = (corner // TILE for corner in self.used_box(*index))
+        cut = self.pages[index][row0:row1, col0:col1]
+        height, width = cut.shape
         numbers, places = np.unique(cut, return_inverse=True)
         tiles = self._device.take_tiles(self.pools[name], numbers)
         values = np.empty((height, TILE, width, TILE), dtype=tiles.dtype)
@@ -138,6 +134,13 @@ class _Tiles:
             row[:] = tiles[own].transpose(1, 0, 2)
         first = (self.corner + np.array([col0, row0])) * TILE
         return values.reshape(height * TILE, width * TILE), first
+
+    def used_box(self, *index: int) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+        """Return the corners of one map's pages in use, (2,) x and y in cells of the window."""
+        places = np.argwhere(self.pages[index])[:, ::-1]
+        if len(places) == 0:
+            places = np.zeros((1, 2), dtype=np.int64)
+        return places.min(axis=0) * TILE, (places.max(axis=0) + 1) * TILE
 
     def _restore(self, arrays: Mapping[str, Array], *others: str) -> None:
         """Restore saved pools, pages and corner."""

@@ -195,7 +195,7 @@ class Found:
 
 
 # Submaps whose dense fields are kept, up to 2 MB each.
-MOST_PYRAMIDS = 32
+MOST_DENSE = 32
 
 
 class ClosureSearch:
@@ -229,7 +229,11 @@ class ClosureSearch:
             spread = spread_of(max(drift_m / 2.0, LEAST_SPREAD_M), turn / 2.0)
             hypothesis = PoseHypothesis(expected, spread)
             found = self._fine(submap, points, hypothesis, least, MOST_UNSEEN)
-            if isinstance(found, Found) and _is_news(expected, found.pose):
+            if isinstance(found, str):
+                return found
+            away = found.pose - expected
+            turned = abs(wrap_angle(float(away[2])))
+            if np.hypot(away[0], away[1]) > NEWS_M or turned > NEWS_RAD:
                 window = Window(expected, RIVAL_TIMES * drift_m + RIVAL_M, turn)
                 if self._has_rival(submap, points, window, found):
                     return AMBIGUOUS
@@ -305,7 +309,8 @@ class ClosureSearch:
     ) -> Found | str:
         """Search around a hypothesis, from a window search or not, and check the result."""
         config = self._config
-        scan = ScanOnTiles(self._device, submap.walls(), points, config.matcher.beams)
+        walls = self._kept(submap).walls()
+        scan = ScanOnTiles(self._device, walls, points, config.matcher.beams)
         matcher = self._after_window if by_window else config.matcher
         match = search_pose(scan, [hypothesis], matcher, self._rng)
         unseen = scan.unseen_share(match.pose, UNSEEN_WALL)
@@ -324,17 +329,18 @@ class ClosureSearch:
     ) -> WindowMatch | None:
         """Return the best of a window away from ``beside`` (3,); None if nothing fits."""
         every = -(-len(points) // self._config.matcher.beams)
-        cell = self._config.resolution
-        # The fields of those that were searched last stay.
+        cell, pyramid = self._config.resolution, self._kept(submap).pyramid()
+        return search_window(self._device, pyramid, points[::every], window, cell, least, beside)
+
+    def _kept(self, submap: Submap) -> Submap:
+        """Return a submap whose dense copies stay until enough others have been searched."""
         self._recent.pop(submap, None)
         self._recent[submap] = None
-        if len(self._recent) > MOST_PYRAMIDS:
+        if len(self._recent) > MOST_DENSE:
             oldest = next(iter(self._recent))
             del self._recent[oldest]
-            oldest.forget_pyramid()
-        return search_window(
-            self._device, submap.pyramid(), points[::every], window, cell, least, beside
-        )
+            oldest.forget_dense()
+        return submap
 
     def _has_rival(self, submap: Submap, points: F64, window: Window, found: Found) -> bool:
         """Return whether another place of a window fits nearly as well."""
@@ -344,12 +350,6 @@ class ClosureSearch:
             return True
         least = RIVAL_SHARE * own.score
         return self._searched(submap, points, window, least, found.pose) is not None
-
-
-def _is_news(expected: F64, found: F64) -> bool:
-    """Return whether a scan lies elsewhere than the graph predicts, poses (3,)."""
-    away = found - expected
-    return bool(np.hypot(away[0], away[1]) > NEWS_M or abs(wrap_angle(float(away[2]))) > NEWS_RAD)
 
 
 def _around(coarse: F64) -> PoseHypothesis:

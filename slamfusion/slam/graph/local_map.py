@@ -12,9 +12,10 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.config import GraphConfig
 from slamfusion.geometry import F64, Pose2, wrapped_row_of
 from slamfusion.grid import IDENTITY
+from slamfusion.pose_graph.uncertainty import turned
 from slamfusion.slam.common.matcher import Match, ScanOnTiles, information_of, response_information
 from slamfusion.slam.common.state import Stateful
-from slamfusion.slam.graph.map_graph import BELIEVED_SHARE, Constraint, GraphHealth, turned
+from slamfusion.slam.graph.map_graph import INFORMATION_SHARE, Constraint, GraphHealth
 from slamfusion.slam.graph.node_map import Node
 from slamfusion.slam.graph.submap import UNSEEN_WALL, Submap, fill_walls, seen_score
 
@@ -142,12 +143,12 @@ class LocalMap(Stateful):
             information = response_information(self._scan(points), row)
         else:
             information = information_of(hessian)
-        information = BELIEVED_SHARE * information
+        information = INFORMATION_SHARE * information
         found = [Constraint(active.anchor, number, row, information)]
         for other in self.submaps[self.active + 1 :]:
             between = self._begun[active.anchor, other.anchor]
             motion = wrapped_row_of(between.inverse().compose(local))
-            seen = turned(information, -between.yaw_rad)
+            seen = turned(information[None], np.array([-between.yaw_rad]))[0]
             found.append(Constraint(other.anchor, number, motion, seen))
         return found
 

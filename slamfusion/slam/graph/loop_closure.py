@@ -20,7 +20,7 @@ from slamfusion.geometry import F64, Pose2, pose_of, wrap_angle, wrapped_row_of
 from slamfusion.slam.common.state import Stateful
 from slamfusion.slam.graph.closure_search import LOW_RESPONSE, ClosureSearch, Found
 from slamfusion.slam.graph.local_map import LocalMap
-from slamfusion.slam.graph.map_graph import BELIEVED_SHARE, Constraint, GraphHealth, MapGraph
+from slamfusion.slam.graph.map_graph import INFORMATION_SHARE, Constraint, GraphHealth, MapGraph
 
 # Where a place was searched: at the graph's pose; at a kidnapped robot's odometry; everywhere.
 How = Literal["known", "odometry", "anywhere"]
@@ -61,7 +61,7 @@ class PendingClosures(Stateful):
         number = closure.constraint.end
         moved = closure.correction.compose(pose)
         self.closures = [c for c in self.closures if number - c.constraint.end <= WAIT_NODES]
-        if closure.how == "known" and _is_small(pose, moved):
+        if closure.how == "known" and is_same_place(pose, moved, SMALL_STEP_M, SMALL_STEP_RAD):
             return [closure]
         earlier = [c for c in self.closures if c.constraint.end != number]
         agreeing = [c for c in earlier if is_same_place(c.correction.compose(pose), moved)]
@@ -79,18 +79,13 @@ class PendingClosures(Stateful):
         return [closure, *agreeing]
 
 
-def is_same_place(one: Pose2, other: Pose2) -> bool:
+def is_same_place(
+    one: Pose2, other: Pose2, most_m: float = AGREEMENT_M, most_rad: float = AGREEMENT_RAD
+) -> bool:
     """Return whether two corrected poses of the robot are one place."""
     away = math.hypot(one.x - other.x, one.y - other.y)
     turn = abs(wrap_angle(one.yaw_rad - other.yaw_rad))
-    return away < AGREEMENT_M and turn < AGREEMENT_RAD
-
-
-def _is_small(pose: Pose2, moved: Pose2) -> bool:
-    """Return whether a closure moves the robot only a little."""
-    away = math.hypot(moved.x - pose.x, moved.y - pose.y)
-    turn = abs(wrap_angle(moved.yaw_rad - pose.yaw_rad))
-    return away <= SMALL_STEP_M and turn <= SMALL_STEP_RAD
+    return away <= most_m and turn <= most_rad
 
 
 # Hypotheses tested per node, and kept at most: bounds on the time of a node.
@@ -98,7 +93,7 @@ TESTED, MOST_HYPOTHESES = 2, 12
 # A hypothesis is accepted after this number of fitting nodes over this distance, metres: longer
 # than rooms look alike. It is dropped after this number of consecutive misses: a door or a person
 # may hide a place once or twice.
-BORNE_OUT_NODES, BORNE_OUT_M, MISSES = 14, 4.0, 3
+CONFIRMED_NODES, CONFIRMED_M, MISSES = 14, 4.0, 3
 # One with fewer hits, or a smaller share of the best one's, is no rival.
 RIVAL_HITS, RIVAL_SHARE = 2, 0.4
 
@@ -118,12 +113,12 @@ class RelocalizationHypothesis:
     tested: int = -1
 
     @property
-    def is_borne_out(self) -> bool:
+    def is_confirmed(self) -> bool:
         """Whether enough scans have fitted over a long enough distance."""
         nodes = {hit.constraint.end for hit in self.hits}
         travelled = [hit.travelled_m for hit in self.hits]
         driven_m = max(travelled) - min(travelled)
-        return len(nodes) >= BORNE_OUT_NODES and driven_m >= BORNE_OUT_M
+        return len(nodes) >= CONFIRMED_NODES and driven_m >= CONFIRMED_M
 
 
 @dataclass(frozen=True)
@@ -203,7 +198,7 @@ class Relocalization(Stateful):
         best = max(self.hypotheses, key=lambda one: len(one.hits))
         enough = max(RIVAL_HITS, RIVAL_SHARE * len(best.hits))
         has_rival = any(len(one.hits) >= enough for one in self.hypotheses if one is not best)
-        return best if best.is_borne_out and not has_rival else None
+        return best if best.is_confirmed and not has_rival else None
 
     def candidates(self, graph: MapGraph, local_map: LocalMap, pose: Pose2) -> list[LoopCandidate]:
         """Return the submaps to search at a node, given the odometry's pose in the map frame."""
@@ -298,10 +293,6 @@ class LoopClosure(Stateful):
         # The node at which tracking failed, until a closure joins the path before and after it.
         self._failure_node: int | None = None
 
-    def kidnapped(self) -> None:
-        """Start relocalization after the last node."""
-        self.relocalization.begin(self._graph.travelled_m)
-
     def tracking_failed(self) -> None:
         """Record that tracking has failed before the next node."""
         self._failure_node = len(self._graph.nodes)
@@ -336,9 +327,12 @@ class LoopClosure(Stateful):
         config, local_map, graph = self._config, self._local_map, self._graph
         away_m = local_map.distances_m(pose, graph.poses)
         reach_m = config.loop_search_maximum_distance
+        # Since the last node of each submap, half way through the following one.
+        half, nodes = config.scan_buffer_size // 2, graph.nodes
         following = [submap.anchor for submap in local_map.submaps[1 : len(away_m) + 1]]
-        last = np.array(following, dtype=np.int64) + config.scan_buffer_size // 2
-        travelled_m = graph.travelled_m - graph.travelled_at(last)
+        travelled_m = graph.travelled_m - np.array(
+            [nodes[min(anchor + half, len(nodes) - 1)].travelled_m for anchor in following]
+        )
         if self._linked_m:
             linked = list(self._linked_m)
             since_m = graph.travelled_m - np.array(list(self._linked_m.values()))
@@ -373,7 +367,7 @@ class LoopClosure(Stateful):
 
         # Which closures may be accepted now?
         anchor = self._local_map.submaps[candidate.index].anchor
-        information = BELIEVED_SHARE * found.information
+        information = INFORMATION_SHARE * found.information
         constraint = Constraint(anchor, number, found.pose, information, is_closure=True)
         moved = graph.pose(anchor).compose(pose_of(found.pose))
         correction = moved.compose(pose.inverse())
@@ -395,12 +389,8 @@ class LoopClosure(Stateful):
         if self._failure_node is not None and anchor < self._failure_node <= number:
             self._failure_node = None
         if candidate.how != "known":
-            self._relocalize(self._local_map.components[candidate.index], correction)
-
-    def _relocalize(self, other: int, correction: Pose2) -> None:
-        """Join the robot's map component and another one."""
-        graph, local_map = self._graph, self._local_map
-        is_joining, is_own = local_map.join(other, len(graph.nodes))
-        graph.move_nodes(is_joining, correction if is_own else correction.inverse())
-        self._health.relocalizations += 1
-        self.relocalization.forget()
+            other = self._local_map.components[candidate.index]
+            is_joining, is_own = self._local_map.join(other, len(graph.nodes))
+            graph.move_nodes(is_joining, correction if is_own else correction.inverse())
+            health.relocalizations += 1
+            self.relocalization.forget()

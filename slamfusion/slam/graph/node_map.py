@@ -1,6 +1,5 @@
 """The map of a graph's scans at the poses of today, redrawn only where poses moved.
 
-Every cell counts the beams that met something in it and all that came by. Counts are whole numbers
 Every cell counts its hits and all beams that cross it. Counts are whole numbers
 and positions are rounded to a lattice that does not depend on the map's size, so a scan can be
 subtracted and counted elsewhere: the map is bit for bit the same as one drawn from scratch.

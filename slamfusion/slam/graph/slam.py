@@ -42,13 +42,15 @@ from slamfusion.slam.graph.node_map import Node, NodeMap
 from slamfusion.trajectory import Trajectory
 
 NAME = "graph"
+# Time without a scan, seconds, above which it counts as a pause: the robot may have been moved.
+PAUSE_S = 60.0
 
 
 class GraphSlam(SavedMapper):
     """The graph SLAM behind the ``Mapper`` protocol."""
 
     name = NAME
-    STATE_FORMAT = 9
+    STATE_FORMAT = 10
     STATE_KINDS = (
         Constraint,
         GraphHealth,
@@ -77,14 +79,16 @@ class GraphSlam(SavedMapper):
     def feed(self, scan: LaserScan, odometry: Pose2 | None = None) -> Step:
         """Follow the robot to a scan; make it a node where it has gone far enough."""
         self.health.scans += 1
-        if self.last_stamp_s is not None:
-            self.health.count_pause(scan.stamp_s - self.last_stamp_s)
+        if self.last_stamp_s is not None and scan.stamp_s - self.last_stamp_s > PAUSE_S:
+            self.health.pauses += 1
+            pause_s = scan.stamp_s - self.last_stamp_s
+            self.health.longest_pause_s = max(self.health.longest_pause_s, pause_s)
 
         self._graph.go_on()
 
         known = None if self._config.odometry == "none" else odometry
         hypotheses = self._localizer.hypotheses(scan.stamp_s, known)
-        if not self._localizer.has_pose:
+        if self._localizer.pose is None:
             self._path.start = pose_of(hypotheses[0].pose)
 
         points = scan.points(scan.is_hit(self._config.usable_range_m))
@@ -97,7 +101,6 @@ class GraphSlam(SavedMapper):
             step = self._follow(seen, hypotheses)
 
         self.last_stamp_s = scan.stamp_s
-        self._path.report(step.pose_map_base)
         return step
 
     def _follow(self, seen: Observation, hypotheses: list[PoseHypothesis]) -> Step:
@@ -105,13 +108,24 @@ class GraphSlam(SavedMapper):
         found = self._localizer.localize(seen, hypotheses)
         self.health.scans_used += 1
         if found.status == "kidnapped":
-            return self._begin_component(seen, found.local)
+            self.health.kidnappings += 1
+            reason = "the robot is lost: a new submap starts, placed by odometry alone"
+            self.health.skips.add(reason, self.health.scans)
+            self._loops.relocalization.begin(self._graph.travelled_m)
+            component = max(self._local_map.components) + 1  # the old ones stay as they are
+            return self._begin_again(seen, found.local, component)
         if found.status == "failed":
-            return self._begin_after_failure(seen, found.local)
+            self.health.tracking_failures += 1
+            self._loops.tracking_failed()
+            return self._begin_again(seen, found.local, self._local_map.active_component)
 
         # Has it gone far enough for a node?
         moved = self._local_map.node_pose.inverse().compose(found.local)
-        if found.status == "unsure" or not _is_far(moved, self._config):
+        is_far = (
+            math.hypot(moved.x, moved.y) >= self._config.minimum_travel_distance
+            or abs(wrap_angle(moved.yaw_rad)) >= self._config.minimum_travel_heading
+        )
+        if found.status == "unsure" or not is_far:
             return self._report(seen, found.local, found.score)
 
         # Add the node to the graph, with constraints to the submaps and by odometry.
@@ -123,14 +137,14 @@ class GraphSlam(SavedMapper):
             self._local_map.constraints(number, seen.points, found.local, found.hessian)
         )
         self._graph.add_odometry(number, moved)
-        self._path.add_response(seen.scan.stamp_s, found.score)
+        self._path.responses.append(seen.scan.stamp_s, found.score)
 
         # Write it into the local map, whose active submap may change.
         local = self._local_map.insert(number, self._graph.nodes[number], found.local)
-        self._localizer.change_frame(local)
+        self._localizer.pose = local
 
         if self._config.do_loop_closing:
-            self._loops.close(number, seen.points, self._localizer.mean_score)
+            self._loops.close(number, seen.points, self._localizer.running_mean_score or 0.0)
         return self._report(seen, local, found.score)
 
     def _report(
@@ -139,9 +153,9 @@ class GraphSlam(SavedMapper):
         """Report a pose in the active submap's frame as one in the map frame."""
         last = len(self._graph.nodes) - 1
         moved = self._local_map.node_pose.inverse().compose(local)
-        self._path.add(seen.scan.stamp_s, last, moved)
         pose = self._graph.pose(last).compose(moved)
         pose = Pose2(pose.x, pose.y, wrap_angle(pose.yaw_rad))
+        self._path.add(seen.scan.stamp_s, last, moved, pose)
         return Step(pose, not reason, score, reason)
 
     # -- where it begins -----------------------------------------------------------------------
@@ -149,33 +163,21 @@ class GraphSlam(SavedMapper):
     def _skip(self, reason: str, hypothesis: PoseHypothesis, seen: Observation) -> Step:
         """Skip a scan; the robot is where it is expected."""
         self.health.skips.add(reason, self.health.scans)
-        local = self._localizer.dead_reckon(seen, hypothesis)
+        local = pose_of(hypothesis.pose)
+        self._localizer.advance(local, seen.odometry, seen.scan.stamp_s)
         if self._graph.nodes:
             return self._report(seen, local, None, reason)
         moved = self._path.start.inverse().compose(local)
-        self._path.add(seen.scan.stamp_s, NO_NODE, moved)
+        self._path.add(seen.scan.stamp_s, NO_NODE, moved, local)
         return Step(local, used=False, match_score=None, reason=reason)
 
     def _begin(self, seen: Observation, hypothesis: PoseHypothesis) -> Step:
-        self._localizer.start(seen)
+        self._localizer.pose = None  # skipped scans have no place in the submap
+        self._localizer.advance(IDENTITY, seen.odometry, seen.scan.stamp_s)
         self._graph.add_node(seen.node(0.0), pose_of(hypothesis.pose))
         self._local_map.begin(0, self._graph.nodes[0], component=0)
         self.health.scans_used += 1
         return self._report(seen, IDENTITY, None)
-
-    def _begin_component(self, seen: Observation, local: Pose2) -> Step:
-        """Start a map component for a kidnapped robot; the old ones stay as they are."""
-        self.health.kidnappings += 1
-        reason = "the robot is lost: a new submap starts, placed by odometry alone"
-        self.health.skips.add(reason, self.health.scans)
-        self._loops.kidnapped()
-        return self._begin_again(seen, local, max(self._local_map.components) + 1)
-
-    def _begin_after_failure(self, seen: Observation, local: Pose2) -> Step:
-        """Start a submap after scans have fitted badly for a while."""
-        self.health.tracking_failures += 1
-        self._loops.tracking_failed()
-        return self._begin_again(seen, local, self._local_map.active_component)
 
     def _begin_again(self, seen: Observation, local: Pose2, component: int) -> Step:
         """Start a submap that only odometry joins to the earlier ones; closures may move it."""
@@ -210,7 +212,7 @@ class GraphSlam(SavedMapper):
         ]
 
     def series(self) -> tuple[Series, ...]:
-        """Return the response of the nodes' matches."""
+        """Return the series of the path; see ``Mapper.series``."""
         return self._path.series()
 
     def grid(self) -> OccupancyGrid:
@@ -235,11 +237,3 @@ class GraphSlam(SavedMapper):
     def memory_bytes(self) -> int:
         """Return the bytes of submaps, nodes and edges."""
         return self._local_map.memory_bytes + self._map.memory_bytes + self._graph.memory_bytes
-
-
-def _is_far(moved: Pose2, config: GraphConfig) -> bool:
-    """Return whether the robot has moved or turned enough for another node."""
-    return (
-        math.hypot(moved.x, moved.y) >= config.minimum_travel_distance
-        or abs(wrap_angle(moved.yaw_rad)) >= config.minimum_travel_heading
-    )

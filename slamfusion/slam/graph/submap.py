@@ -18,7 +18,8 @@ import numpy.typing as npt
 from slamfusion.compute import ComputeDevice
 from slamfusion.compute.arrays import DeviceArray
 from slamfusion.compute.cell_means import LikelihoodRule
-from slamfusion.compute.layout import BEAM_ONE
+from slamfusion.compute.layout import BEAM_ONE, TILE
+from slamfusion.compute.scan_match import FieldWindow
 from slamfusion.geometry import F64, Pose2, wrap_angles
 from slamfusion.slam.common.matcher import FieldMap
 from slamfusion.slam.common.state import check_indices, check_kinds, check_shapes
@@ -124,21 +125,27 @@ class Submap:
                 "field": (np.uint8, UNSEEN_WALL),
             },
         )
+        # Dense copies, made when they are asked for; only a finished submap keeps them.
         self._pyramid: Pyramid | None = None
+        self._window: FieldWindow | None = None
         self._is_finished = False
 
     @property
     def memory_bytes(self) -> int:
         """Bytes of its tiles and pyramid."""
-        pyramid = 0
-        if self._pyramid is not None:
-            pyramid = sum(int(np.prod(field.shape)) for field in self._pyramid.fields)
-        return self._tiles.memory_bytes + pyramid
+        fields = [] if self._pyramid is None else [*self._pyramid.fields]
+        if self._window is not None:
+            fields.append(self._window.cells)
+        return self._tiles.memory_bytes + sum(field.size for field in fields)
 
     def walls(self) -> FieldMap:
         """Return it as the matcher sees it; poses are in the anchor's frame."""
         tiles = self._tiles
-        return FieldMap(tiles.pools["field"], tiles.page_tables, tiles.origin, self._cell)
+        field, pages = tiles.pools["field"], tiles.page_tables
+        if self._is_finished and self._window is None:
+            low, high = tiles.used_box()
+            self._window = self._device.field_window(field, pages, low - TILE, high + TILE)
+        return FieldMap(field, pages, tiles.origin, self._cell, self._window)
 
     def insert(self, points: F64, laser: F64, pose: Pose2) -> None:
         """Update the likelihood field by hits (P, 2), at least one, in metres in the robot's frame.
@@ -181,9 +188,9 @@ class Submap:
         self.low, self.high = arrays["low"], arrays["high"]
         self._tiles.restore(arrays)
 
-    def forget_pyramid(self) -> None:
-        """Free the dense fields, until they are asked for."""
-        self._pyramid = None
+    def forget_dense(self) -> None:
+        """Free the dense copies."""
+        self._pyramid = self._window = None
 
     def pyramid(self) -> Pyramid:
         """Return its dense fields; a finished submap keeps them."""

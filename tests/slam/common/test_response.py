@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import GraphConfig
 from slamfusion.geometry import Pose2
+from slamfusion.pose_graph.uncertainty import turned
 from slamfusion.slam.common.matcher import (
     MOST_SIGMA,
     PoseHypothesis,
@@ -24,7 +25,6 @@ from slamfusion.slam.common.matcher import (
     search_pose,
     spread_of,
 )
-from slamfusion.slam.graph.map_graph import turned
 from slamfusion.slam.graph.submap import Submap
 from tests.slam.drives import CELL_M, draw_flat, scan_at, true_poses
 from tests.slam.places import NO_LASER, Place, draw_corridor, place_of
@@ -75,7 +75,7 @@ def test_information_is_symmetric_and_positive_definite(
 ):
     points = scan_at(true_poses(120)[60], 0.0).points()[:count]
     found = flat.information(Pose2(x, y, yaw_rad), points)
-    for matrix in (found, turned(found, angle_rad)):
+    for matrix in (found, turned(found[None], np.array([angle_rad]))[0]):
         assert np.isfinite(matrix).all()
         np.testing.assert_allclose(matrix, matrix.T, rtol=1e-9, atol=1e-9)
         assert np.linalg.eigvalsh(matrix).min() > 0.0

@@ -7,8 +7,8 @@ import pytest
 
 from slamfusion.geometry import Pose2
 from slamfusion.slam.graph.loop_closure import (
-    BORNE_OUT_M,
-    BORNE_OUT_NODES,
+    CONFIRMED_M,
+    CONFIRMED_NODES,
     MISSES,
     PendingClosure,
     Relocalization,
@@ -34,15 +34,15 @@ def told(hypotheses: Relocalization, correction: Pose2, nodes: range, step_m: fl
 
 def test_a_hypothesis_is_believed_after_enough_hits_over_a_distance():
     hypotheses = Relocalization()
-    for node in range(BORNE_OUT_NODES - 1):
+    for node in range(CONFIRMED_NODES - 1):
         hypotheses.add(hit(node, TRUE), HERE)
         assert hypotheses.winner() is None
-    hypotheses.add(hit(BORNE_OUT_NODES, TRUE), HERE)
+    hypotheses.add(hit(CONFIRMED_NODES, TRUE), HERE)
     winner = hypotheses.winner()
     assert winner is not None
     assert [one.constraint.end for one in winner.hits] == [
-        *range(BORNE_OUT_NODES - 1),
-        BORNE_OUT_NODES,
+        *range(CONFIRMED_NODES - 1),
+        CONFIRMED_NODES,
     ]
 
 
@@ -51,15 +51,15 @@ def test_a_robot_that_hardly_drives_is_not_found():
     told(
         hypotheses,
         TRUE,
-        range(5 * BORNE_OUT_NODES),
-        step_m=0.9 * BORNE_OUT_M / (5 * BORNE_OUT_NODES),
+        range(5 * CONFIRMED_NODES),
+        step_m=0.9 * CONFIRMED_M / (5 * CONFIRMED_NODES),
     )
     assert hypotheses.winner() is None
 
 
 def test_of_two_places_that_look_alike_none_is_believed_until_one_fails():
     hypotheses = Relocalization()
-    for node in range(4 * BORNE_OUT_NODES):
+    for node in range(4 * CONFIRMED_NODES):
         hypotheses.add(hit(node, TRUE), HERE)
         twin = hypotheses.add(hit(node, TWIN), HERE)
         assert hypotheses.winner() is None
