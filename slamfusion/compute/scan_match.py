@@ -110,7 +110,11 @@ class ScanMatchDevice(ArrayDevice):
     """
 
     def field_window(
-        self, field: DeviceArray[np.uint8], pages: DeviceArray[np.int32], low: F64, high: F64
+        self,
+        field: DeviceArray[np.uint8],
+        pages: DeviceArray[np.int32],
+        low: F64 | I64,
+        high: F64 | I64,
     ) -> FieldWindow:
         """Return the part of a map between two corners, (2,) each in cells of its pages."""
         height, width = pages.shape

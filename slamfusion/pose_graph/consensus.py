@@ -55,8 +55,8 @@ def find_consensus(measured: Measurements, may_be_outlier: npt.NDArray[np.bool_]
     """Find the possible outliers, (M,) bool, that support each other."""
     edges, motions = measured.edges, measured.motions
     covariances = inverted(measured.information)
-    odometry = _Odometry.of(edges, motions, covariances, ~may_be_outlier)
-    closures = _Closures.of(
+    odometry = _Odometry(edges, motions, covariances, ~may_be_outlier)
+    closures = _Closures(
         edges[may_be_outlier], motions[may_be_outlier], covariances[may_be_outlier]
     )
     places = scipy.spatial.cKDTree(np.stack((closures.first, closures.last), axis=1))
@@ -85,25 +85,19 @@ def _scale(errors: F64) -> float:
     return 1.0 if len(plausible) < FEWEST_LOOPS else float(np.median(plausible)) / MEDIAN
 
 
-@dataclass(frozen=True, eq=False)
 class _Odometry:
     """Poses along the odometry, and their relative uncertainty.
+
+    Of the trusted edges it takes the first between each two consecutive poses, in either direction.
 
     Attributes:
         poses: (N, 3); where odometry has a gap, the next pose is put on the last.
         piece: (N,) number of gaps so far.
-        sums: (N, 3, 3), sum of the covariances of all steps so far, each moved to the origin.
     """
 
-    poses: F64
-    piece: Indices
-    sums: F64
-
-    @classmethod
-    def of(
-        cls, edges: Indices, motions: F64, covariances: F64, is_trusted: npt.NDArray[np.bool_]
-    ) -> _Odometry:
-        """Take the first trusted edge between each two consecutive poses, in either direction."""
+    def __init__(
+        self, edges: Indices, motions: F64, covariances: F64, is_trusted: npt.NDArray[np.bool_]
+    ) -> None:
         count = int(edges.max()) + 1
         steps, noises = np.zeros((count, 3)), np.zeros((count, 3, 3))
         acts_at = np.arange(count)
@@ -122,45 +116,34 @@ class _Odometry:
         cos, sin = np.cos(before), np.sin(before)
         x = np.cumsum(cos * steps[:, 0] - sin * steps[:, 1])
         y = np.cumsum(sin * steps[:, 0] + cos * steps[:, 1])
-        poses = np.stack((x, y, yaw), axis=1)
+        self.poses = poses = np.stack((x, y, yaw), axis=1)
+        self.piece = np.cumsum(~is_measured)
+        # The covariances of all steps so far, each moved to the origin.
         noises = moved(turned(noises, poses[acts_at, 2]), -poses[acts_at])
-        return cls(poses, np.cumsum(~is_measured), np.cumsum(noises, axis=0))
+        self._sums = np.cumsum(noises, axis=0)
 
     def covariance(self, start: Indices, end: Indices, point: F64) -> F64:
         """Return the covariance of the way between poses at a point that goes with one of them."""
         first, last = np.minimum(start, end), np.maximum(start, end)
-        return moved(self.sums[last] - self.sums[first], point)
+        return moved(self._sums[last] - self._sums[first], point)
 
 
-@dataclass(frozen=True, eq=False)
 class _Closures:
-    """Closures from the earlier to the later pose.
+    """Closures from the earlier pose ``first`` to the later one ``last``, (C,) each.
 
-    Attributes:
-        first: (C,) earlier pose.
-        last: (C,) later pose.
-        motion: (C, 3) the later in the frame of the earlier.
-        covariance: (C, 3, 3) in the axes of the measured pose, at that pose.
-        is_forward: (C,) bool, the measured pose is the later one.
+    ``motion`` (C, 3) is the later pose in the frame of the earlier.
     """
 
-    first: Indices
-    last: Indices
-    motion: F64
-    covariance: F64
-    is_forward: npt.NDArray[np.bool_]
-
-    @classmethod
-    def of(cls, edges: Indices, motions: F64, covariances: F64) -> _Closures:
-        """Turn closures that lead back."""
-        is_forward = edges[:, 0] < edges[:, 1]
-        motion = np.where(is_forward[:, None], motions, invert_poses(motions))
-        return cls(edges.min(axis=1), edges.max(axis=1), motion, covariances, is_forward)
+    def __init__(self, edges: Indices, motions: F64, covariances: F64) -> None:
+        # Covariances are in the axes of the measured pose: the later one where it is forward.
+        self._is_forward, self._covariance = edges[:, 0] < edges[:, 1], covariances
+        self.first, self.last = edges.min(axis=1), edges.max(axis=1)
+        self.motion = np.where(self._is_forward[:, None], motions, invert_poses(motions))
 
     def noise(self, which: Indices, first: F64, last: F64, point: F64) -> F64:
         """Return the covariances at points that go with the later pose, in the world's axes."""
-        acts_at = np.where(self.is_forward[which, None], last, first)
-        own = turned(self.covariance[which], acts_at[:, 2])
+        acts_at = np.where(self._is_forward[which, None], last, first)
+        own = turned(self._covariance[which], acts_at[:, 2])
         return moved(own, point[:, :2] - acts_at[:, :2])
 
 

@@ -164,7 +164,7 @@ def _adjacency(edges: npt.NDArray[np.int64], count: int) -> scipy.sparse.coo_mat
 
 
 def _refuse(
-    kind: str, is_bad: npt.NDArray[np.bool_], what: str, edges: npt.NDArray[np.int64] | None
+    kind: str, is_bad: npt.ArrayLike, what: str, edges: npt.NDArray[np.int64] | None
 ) -> None:
     """Raise an error that names the first bad pose or edge, and how many there are."""
     bad = np.flatnonzero(is_bad)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 
@@ -72,7 +73,15 @@ class Tracker(Stateful):
         running_mean_score: of the last matches, 0 to 1; None before the first.
     """
 
-    STATE = ("rng", "pose", "odometry", "step", "step_s", "stamp_s", "running_mean_score")
+    STATE: ClassVar[tuple[str, ...]] = (
+        "rng",
+        "pose",
+        "odometry",
+        "step",
+        "step_s",
+        "stamp_s",
+        "running_mean_score",
+    )
 
     config: MatcherConfig
     device: ComputeDevice
