@@ -41,8 +41,8 @@ def _turns(yaw_rad: F64) -> F64:
 
 Indices = npt.NDArray[np.int64]
 
-# Pairs solved for together: more no longer fit the cache.
-PAIRS_AT_ONCE = 6
+# Pairs solved for together: with six, BLAS wakes threads that take five to ten times as long.
+PAIRS_AT_ONCE = 3
 # Half axes of the ellipsoid of all motions: this many deviations of the places, and half a turn.
 ROOM_DEVIATIONS = math.sqrt(6.0)
 
