@@ -111,10 +111,6 @@ class Problem:
             )
         )
 
-    def truncated_cost(self, squares: F64, limit: float) -> float:
-        """Return the sum of squares, (M,), in which a possible outlier counts at most ``limit``."""
-        return float(np.where(self.may_be_outlier, np.minimum(squares, limit), squares).sum())
-
 
 @dataclass(frozen=True, eq=False)
 class InlierSet:
@@ -370,7 +366,8 @@ class _Search:
 
     def _keep_better(self, descent: Descent, squares: F64, closures: Mask) -> bool:
         """Accept a fit of a lower truncated sum of squares, or an equal one with more closures."""
-        cost = self._problem.truncated_cost(squares, self._limit)
+        truncated = np.minimum(squares, self._limit)
+        cost = float(np.where(self._problem.may_be_outlier, truncated, squares).sum())
         more = bool((self.used <= closures).all() and (closures & ~self.used).any())
         if not (cost < self._cost or (more and cost <= self._cost + EQUAL_COST)):
             return False

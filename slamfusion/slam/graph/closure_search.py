@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -42,6 +41,8 @@ BATCH = 256
 YAW_CELLS = 2.0
 # Differences, metres and radians, up to which two poses are one place: the peak of one response.
 BESIDE_M, BESIDE_RAD = 0.5, 0.35
+# The first shifts of the quarters of a block, by half of its side: yaw group, row, column.
+QUARTERS: I32 = np.array([(0, 0, 0), (0, 0, 1), (0, 1, 0), (0, 1, 1)], dtype=np.int32)
 # Least distance of the farthest hit, cells, for the yaw step.
 LEAST_REACH_CELLS = 20.0
 
@@ -124,7 +125,8 @@ def search_window(
             continue
         chosen, rest = order[:BATCH], order[BATCH:]
         queues.append((blocks[rest], values[rest]))
-        children = _children(blocks[chosen], pyramid.windows[level], pyramid.windows[level + 1])
+        parts = QUARTERS * np.int32(pyramid.windows[level + 1])
+        children = (blocks[chosen][:, None, :] + parts).reshape(-1, 3)
         children = children[(children[:, 1] < span) & (children[:, 2] < span)]
         bounds = device.bound_blocks(children, starts, pyramid.fields[level + 1], best_sum)
         queues.append((children, bounds))
@@ -133,19 +135,6 @@ def search_window(
     place = (start + half + pyramid.corner) + (best[[2, 1]] - half)
     pose = np.array([*(place * resolution), yaws[best[0]]])
     return WindowMatch(pose, best_sum / (255.0 * len(points)))
-
-
-def _children(blocks: I32, window: int, part: int) -> I32:
-    """Return the blocks of side ``part`` that make up blocks of side ``window``."""
-    return np.asarray((blocks[:, None, :] + _offsets(window, part)).reshape(-1, 3))
-
-
-@cache
-def _offsets(window: int, part: int) -> I32:
-    """Return the first shifts of the parts in a block, (K, 3): yaw 0, rows, columns."""
-    steps = np.arange(0, window, part, dtype=np.int32)
-    rows, cols = (axis.ravel() for axis in np.meshgrid(steps, steps, indexing="ij"))
-    return np.stack((np.zeros_like(rows), rows, cols), axis=-1)
 
 
 # Why a scan is not found, in the published words of the health record.
