@@ -5,6 +5,7 @@ They are computed once for a grid and device, and shared by all pairs of the gri
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache, wraps
@@ -478,28 +479,19 @@ class FieldMemory:
         """Mark a map as used, and make room if it will hold more."""
         self._used.pop(id(fields), None)
         self._used[id(fields)] = fields
-        if is_more:
-            self._shrink()
+        before, held = len(self._used), sum(math.prod(one.shape) for one in self._used.values())
+        while is_more and held > self._most and len(self._used) > LEAST_KEPT:
+            oldest = self._used.pop(next(iter(self._used)))
+            held -= math.prod(oldest.shape)
+            oldest.release()
+        if len(self._used) < before:
+            return_freed_memory()
 
     def forget(self, fields: GridFeatures) -> None:
         """Note that a map holds nothing."""
         self._used.pop(id(fields), None)
 
-    def _shrink(self) -> None:
-        before = len(self._used)
-        held = sum(_cells(fields) for fields in self._used.values())
-        while held > self._most and len(self._used) > LEAST_KEPT:
-            oldest = self._used.pop(next(iter(self._used)))
-            held -= _cells(oldest)
-            oldest.release()
-        if len(self._used) < before:
-            return_freed_memory()
-
     def clear(self) -> None:
         """Release everything."""
         while self._used:
             self._used.popitem()[1].release()
-
-
-def _cells(fields: GridFeatures) -> int:
-    return fields.shape[0] * fields.shape[1]

@@ -78,7 +78,6 @@ class ShiftScores:
     evidence: F64
     rows: I32
     cols: I32
-    work: float
 
     def best_two(self) -> tuple[float, float]:
         """Return the most evidence, and the most at another place or yaw."""
@@ -162,8 +161,7 @@ def score_shifts(
     floor = len(from_mov) * ours.base + len(from_ref) * theirs.base
     row, col = np.divmod(places, width)
     evidence = np.asarray((values - floor) * ours.unit, dtype=np.float64)
-    work = float(len(yaws) * surface.height * surface.lanes) * (len(from_mov) + len(from_ref))
-    return ShiftScores(step, yaws, yaw_step, evidence, row + rows[0], col + cols[0], work)
+    return ShiftScores(step, yaws, yaw_step, evidence, row + rows[0], col + cols[0])
 
 
 def _yaw_lattice(step: float, window: SearchWindow) -> tuple[F64, float]:

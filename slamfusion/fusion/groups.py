@@ -276,7 +276,10 @@ def _to_reference(
     out = {}
     for name in group.members:
         if name == reference:
-            out[name] = _own(features[name])
+            out[name] = Alignment(
+                moving=name, reference=name, accepted=True, reason="the reference", score=1.0,
+                overlap=1.0,
+            )  # fmt: skip
             continue
         transform = back.compose(group.poses[name])
         pair = direct.get(frozenset((reference, name)))
@@ -327,14 +330,6 @@ def _in_frame_of(reference: str, motion: Pose2, pair: Alignment) -> Alignment:
 def _rank(pair: Alignment) -> int:
     """Return how good an accepted alignment is, as a number."""
     return (None, "weak", "fair", "strong").index(pair.strength)
-
-
-def _own(features: GridFeatures) -> Alignment:
-    """Return the reference's own record."""
-    name, reason = features.grid.name, "the reference"
-    return Alignment(
-        moving=name, reference=name, accepted=True, reason=reason, score=1.0, overlap=1.0
-    )
 
 
 def _left_out(

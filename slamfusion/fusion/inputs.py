@@ -69,11 +69,12 @@ class PreparedInputs:
             except GridError as error:
                 self.reasons[grid.name] = str(error)
                 continue
-            self._normalized[grid.name] = (
-                normalized if self._factor == 1 else _without_percents(normalized)
-            )
             if self._factor > 1:
+                # For alignment only, so its trinary cells stand for percentages.
+                cells = replace(normalized.grid, cells=normalized.cells)
+                normalized = replace(normalized, grid=cells)
                 return_freed_memory()
+            self._normalized[grid.name] = normalized
         self._memory = FieldMemory(is_sparing=is_stored)
         self.features = {
             name: GridFeatures(grid, device, self._memory)
@@ -95,11 +96,6 @@ class PreparedInputs:
         return voting_grid(self._grids[name], self._resolution, self._config, self._device)
 
 
-def _without_percents(grid: NormalizedGrid) -> NormalizedGrid:
-    """Return a grid for alignment only, with its trinary cells in place of percentages."""
-    return replace(grid, grid=replace(grid.grid, cells=grid.cells))
-
-
 def find_copies(grids: Sequence[OccupancyGrid], preferred: Collection[str] = ()) -> dict[str, str]:
     """Return which inputs are copies, each with the name of the one that votes for all of them.
 
@@ -116,11 +112,6 @@ def find_copies(grids: Sequence[OccupancyGrid], preferred: Collection[str] = ())
         voter = next((same for same in alike if same.name in preferred), grid)
         copies |= {same.name: voter.name for same in alike if same is not voter}
     return {grid.name: copies[grid.name] for grid in grids if grid.name in copies}
-
-
-def copy_words(voter: str) -> str:
-    """Return the reason of a copy of an input."""
-    return f"the same map as {voter} (equal cells, resolution and origin): one voter"
 
 
 def _is_same(a: OccupancyGrid, b: OccupancyGrid) -> bool:

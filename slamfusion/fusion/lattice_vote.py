@@ -81,6 +81,10 @@ class PackedLayer:
                 blocks[part.row0 // BLOCK, part.col0 // BLOCK] = packed
         return cls(box, blocks)
 
+    def inside(self, box: CellBox) -> PackedLayer:
+        """Return the layer on a box of the lattice, from whose first cell its own is counted."""
+        return replace(self, box=moved(self.box, -box.row0, -box.col0))
+
     def under(self, wide: CellBox) -> PackedLayer:
         """Return the layer with only the blocks on a box of the fused lattice."""
         return replace(self, blocks={at: self.blocks[at] for at, _ in self._meeting(wide)})
@@ -331,7 +335,7 @@ def _prepare(
     base = lattices(group.reference)
     lattice, box = base.extent.lattice, base.extent.box
     is_union = config.vote.extent == "union"
-    laid: dict[str, PackedLayer | tuple[CellBox, I8]] = {}
+    laid: dict[str, Layer] = {}
     for name, pair in group.alignments.items():
         grid = base if name == group.reference else lattices(name)
         covered = grid.extent.on(lattice, pair.transform)
@@ -341,7 +345,8 @@ def _prepare(
         else:
             own = overlap(own, box) or CellBox(box.row0, box.col0, box.row0, box.col0)
         cells = warp_onto(grid, pair.transform, lattice, own, device)
-        laid[name] = PackedLayer.of(own, cells) if is_stored else (own, cells)
+        shape = own.height, own.width
+        laid[name] = PackedLayer.of(own, cells) if is_stored else GridLayer(shape, own, cells)
     if not is_stored:
         check_memory(
             VOTED_BYTES * box.area,
@@ -351,20 +356,10 @@ def _prepare(
         )
     whole, first = CellBox(0, 0, box.height, box.width), (box.row0, box.col0)
     voter = TileVoter(whole, config.vote, lattice.resolution, tuple(laid), first)
-    layers: dict[str, Layer] = {}
-    for name, found in laid.items():
-        if isinstance(found, PackedLayer):
-            layers[name] = replace(found, box=moved(found.box, -box.row0, -box.col0))
-        else:
-            own, cells = found
-            part = overlap(own, box) or own
-            place = moved(part, -box.row0, -box.col0)
-            layer = GridLayer(
-                (box.height, box.width), place, cells[slices(part, own.row0, own.col0)]
-            )
-            if voter.unknown_votes:
-                layer = replace(layer, box=whole, codes=layer.aligned())
-            layers[name] = layer
+    layers = {name: layer.inside(box) for name, layer in laid.items()}
+    if voter.unknown_votes and not is_stored:
+        shape = whole.height, whole.width
+        layers = {name: GridLayer(shape, whole, own.on(whole)) for name, own in layers.items()}
     return LatticeVote(group, voter, layers, box_origin(lattice.origin, lattice.resolution, box))
 
 

@@ -15,7 +15,7 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig
 from slamfusion.errors import AlignmentError, ConfigError
 from slamfusion.fusion.groups import LEAST_FUSED, Members, Progress, SecondLook, align_group
-from slamfusion.fusion.inputs import PreparedInputs, copy_words, find_copies, odd_resolutions
+from slamfusion.fusion.inputs import PreparedInputs, find_copies, odd_resolutions
 from slamfusion.fusion.lattice_vote import Lattices, vote_in_memory
 from slamfusion.grid import OccupancyGrid
 from slamfusion.vote.tiles import check_votes
@@ -202,4 +202,5 @@ def _copy(
     own = alignments.get(voter)
     if own is not None:
         own = replace(own, moving=grid.name)
-    return InputRecord(grid, own, False, copy_words(voter), copy_of=voter)
+    reason = f"the same map as {voter} (equal cells, resolution and origin): one voter"
+    return InputRecord(grid, own, False, reason, copy_of=voter)

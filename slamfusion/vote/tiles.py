@@ -30,7 +30,7 @@ from slamfusion.vote.agreement import (
     local_weights,
     trust_of,
 )
-from slamfusion.vote.boxes import grown_inside, overlap, slices
+from slamfusion.vote.boxes import grown_inside, moved, overlap, slices
 from slamfusion.vote.walls import codes_on, margin_cells, same_wall_cells
 
 I8 = npt.NDArray[np.int8]
@@ -66,6 +66,13 @@ class GridLayer:
         height, width = aligned.shape
         box = CellBox(0, 0, height, width)
         return cls((height, width), box, aligned + OUTVOTED * dissent.view(np.int8))
+
+    def inside(self, box: CellBox) -> GridLayer:
+        """Return the layer on a box of its lattice, from whose first cell its own is counted."""
+        own = overlap(self.box, box) or self.box
+        codes = self.codes[slices(own, self.box.row0, self.box.col0)]
+        shape = box.height, box.width
+        return GridLayer(shape, moved(own, -box.row0, -box.col0), codes)
 
     @property
     def cells(self) -> I8:
