@@ -373,9 +373,21 @@ __kernel void confusion(__global const char *a, __global const char *b, const in
                         const int chunk, __global int *partial) {
   const int start = get_global_id(0) * chunk;
   if (start >= cells) return;
-  int counts[9] = {0, 0, 0, 0, 0, 0, 0, 0, 0};
-  for (int i = start; i < min(start + chunk, cells); i++) counts[3 * a[i] + b[i] + 4]++;
-  for (int i = 0; i < 9; i++) partial[get_global_id(0) * 9 + i] = counts[i];
+  const int stop = LOWER(start + chunk, cells);
+  int counts[9] = {0, 0, 0, 0, 0, 0, 0, 0, 0}, i = start;
+  /* Cells of a run are compared in lanes with one pair of values after another: counting into an array
+   * waits for itself. */
+  for (; i + RUN <= stop; i += RUN) {
+    uchar pair[RUN];
+    for (int n = 0; n < RUN; n++) pair[n] = 3 * a[i + n] + b[i + n] + 4;
+    for (int k = 0; k < 9; k++) {
+      uchar same = 0;
+      for (int n = 0; n < RUN; n++) same += pair[n] == k;
+      counts[k] += same;
+    }
+  }
+  for (; i < stop; i++) counts[3 * a[i] + b[i] + 4]++;
+  for (int k = 0; k < 9; k++) partial[get_global_id(0) * 9 + k] = counts[k];
 }
 
 /* [F16] alignment error: partial[p, chunk] = sum of squared differences of the reference's cells and

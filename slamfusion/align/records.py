@@ -14,17 +14,6 @@ from slamfusion.grid import IDENTITY, OccupancyGrid
 from slamfusion.json_values import POSE, printed_as
 from slamfusion.vote.tiles import GridLayer
 
-__all__ = [
-    "Alignment",
-    "Bent",
-    "Fusion",
-    "FusionResult",
-    "InputRecord",
-    "MatchEvidence",
-    "RunnerUp",
-    "StoredFusion",
-]
-
 
 @dataclass(frozen=True)
 class RunnerUp:

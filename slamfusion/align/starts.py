@@ -19,8 +19,6 @@ from slamfusion.config import START_M, START_RAD
 from slamfusion.errors import StartError
 from slamfusion.geometry import Pose2
 
-__all__ = ["StartPose", "Starts", "named_input", "place_starts", "pose_of", "start_distance"]
-
 PAIR = 2
 
 

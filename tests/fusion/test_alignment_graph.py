@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 
-from slamfusion.align.records import Alignment, MatchEvidence
+from slamfusion.align.decide import MatchEvidence
+from slamfusion.align.records import Alignment
 from slamfusion.fusion.grouping import AlignmentGraph
 from slamfusion.geometry import Pose2
 

@@ -11,8 +11,9 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
+from slamfusion.align.decide import MatchEvidence
 from slamfusion.align.features import GridFeatures
-from slamfusion.align.records import Alignment, MatchEvidence
+from slamfusion.align.records import Alignment
 from slamfusion.compute import ComputeDevice
 from slamfusion.fusion.grouping import Candidate, GroupSearch, Implied, ImpliedPairs
 from slamfusion.geometry import Pose2

@@ -10,7 +10,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.align.records import Alignment, FusionResult, InputRecord, MatchEvidence, RunnerUp
+from slamfusion.align.decide import MatchEvidence
+from slamfusion.align.records import Alignment, FusionResult, InputRecord, RunnerUp
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
 from slamfusion.palette import Rgb
