@@ -173,7 +173,7 @@ def test_a_map_is_not_turned_round_where_the_drive_heads_as_the_world_does() -> 
     # What was mapped looks like the true map turned round, but for some walls.
     turned = OccupancyGrid(truth.cells[::-1, ::-1].copy(), truth.resolution, truth.origin, "turned")
     free = against_truth(turned, truth, config, device)
-    assert abs(free.yaw_rad) == pytest.approx(math.pi, abs=0.02)
+    assert abs(free.transform.yaw_rad) == pytest.approx(math.pi, abs=0.02)
     held = against_truth(turned, truth, config, device, same_heading=True)
-    assert abs(held.yaw_rad) <= 0.5 * math.pi
+    assert abs(held.transform.yaw_rad) <= 0.5 * math.pi
     assert held.error > free.error
