@@ -38,7 +38,7 @@ from slamfusion.pose_graph.least_squares import (
     descend,
     rotations_first,
 )
-from slamfusion.pose_graph.uncertainty import Gates, Uncertainty, gates
+from slamfusion.pose_graph.uncertainty import Gates, gates
 
 Mask = npt.NDArray[np.bool_]
 
@@ -315,8 +315,7 @@ class _Search:
         if len(asked) == 0:
             return Gates(np.zeros(0), np.zeros(0))
         _, equations = self._equations_of(self._trusted | self.used, superfluous=0.0)
-        uncertainty = Uncertainty(equations, self.poses)
-        return gates(uncertainty, self.poses, self._problem.measured.chosen(asked))
+        return gates(equations, self.poses, self._problem.measured.chosen(asked))
 
     def _graduate(self, closures: Mask, poses: F64) -> Steps[tuple[Descent, F64, Mask]]:
         """Harden the weights of closures from nearly equal pull to all or nothing."""

@@ -63,58 +63,45 @@ class Gates:
     chances: F64
 
 
-class Uncertainty:
-    """Covariances of a graph's poses, from the factor of its normal equations.
+def relative_covariances(equations: NormalEquations, poses: F64, pairs: Indices) -> F64:
+    """Return covariances of the second poses relative to the first, pairs (K, 2), (K, 3, 3).
 
-    The factor is made once; each pair then costs three solutions with it.
+    Of x, y in metres and yaw in radians, in the world's axes, at poses (N, 3) where the sum of
+    squares is least. The equations are linearised there and factorised once.
     """
-
-    def __init__(self, equations: NormalEquations, poses: F64) -> None:
-        """Linearise and factorise at poses (N, 3), where the sum of squares is least."""
-        equations.linearise(poses)
-        self._place, self._poses = equations.place, poses
-        self._factor = factorise(equations.matrix())
-
-    def in_world_axes(self, pairs: Indices) -> F64:
-        """Return covariances of the second poses relative to the first, pairs (K, 2), (K, 3, 3).
-
-        Of x, y in metres and yaw in radians, in the world's axes.
-        """
-        parts = [
-            self._solve(pairs[start : start + PAIRS_AT_ONCE])
-            for start in range(0, len(pairs), PAIRS_AT_ONCE)
-        ]
-        return np.concatenate(parts) if parts else np.zeros((0, 3, 3))
-
-    def _solve(self, pairs: Indices) -> F64:
-        count = len(pairs)
-        first, second = pairs.T
-        way = self._poses[second, :2] - self._poses[first, :2]
+    equations.linearise(poses)
+    place, factor = equations.place, factorise(equations.matrix())
+    parts = [np.zeros((0, 3, 3))]
+    for start in range(0, len(pairs), PAIRS_AT_ONCE):
+        first, second = pairs[start : start + PAIRS_AT_ONCE].T
+        count = len(first)
+        way = poses[second, :2] - poses[first, :2]
         of_first = np.tile(-np.eye(3), (count, 1, 1))
         of_first[:, 0, 2], of_first[:, 1, 2] = way[:, 1], -way[:, 0]
         of_second = np.tile(np.eye(3), (count, 1, 1))
-        sides = np.zeros((3 * int((self._place >= 0).sum()), count, 3))
+        sides = np.zeros((3 * len(equations.free), count, 3))
         moves = []
-        for poses, jacobian in ((first, of_first), (second, of_second)):
-            free = np.flatnonzero(self._place[poses] >= 0)
-            rows = 3 * self._place[poses[free], None] + np.arange(3)
+        for ends, jacobian in ((first, of_first), (second, of_second)):
+            free = np.flatnonzero(place[ends] >= 0)
+            rows = 3 * place[ends[free], None] + np.arange(3)
             sides[rows, free[:, None]] += jacobian[free].transpose(0, 2, 1)
             moves.append((free, rows, jacobian[free]))
-        solved = self._factor.solve(sides.reshape(len(sides), -1)).reshape(sides.shape)
+        solved = factor.solve(sides.reshape(len(sides), -1)).reshape(sides.shape)
         covariance = np.zeros((count, 3, 3))
         for free, rows, jacobian in moves:
             covariance[free] += jacobian @ solved[rows, free[:, None]]
-        return covariance
+        parts.append(covariance)
+    return np.concatenate(parts)
 
 
-def gates(uncertainty: Uncertainty, poses: F64, candidates: Measurements) -> Gates:
-    """Check edges against a graph at its poses (N, 3)."""
+def gates(equations: NormalEquations, poses: F64, candidates: Measurements) -> Gates:
+    """Check edges against a graph at its poses (N, 3), where the sum of squares is least."""
     if len(candidates) == 0:
         return Gates(np.zeros(0), np.zeros(0))
     measured = poses[candidates.start, 2] + candidates.motions[:, 2]
     own = turned(inverted(candidates.information), measured)
     vectors = (_turns(measured) @ candidates.errors(poses).T[..., None])[..., 0]
-    covariance = uncertainty.in_world_axes(candidates.edges) + own
+    covariance = relative_covariances(equations, poses, candidates.edges) + own
     errors = np.einsum("ki,ki->k", vectors, np.linalg.solve(covariance, vectors[..., None])[..., 0])
     # The motions that agree as well fill an ellipsoid, limited to those between places of the map.
     filled, room = errors[:, None, None] * covariance, np.zeros((3, 3))

@@ -308,7 +308,8 @@ class ClosureSearch:
         if seen_score(match.score, unseen) < least:
             return LOW_RESPONSE
         information = response_information(scan, match.pose)
-        variance = float(np.linalg.eigvalsh(np.linalg.inv(information)[:2, :2]).max())
+        (xx, xy, _), (_, yy, _), _ = np.linalg.inv(information).tolist()
+        variance = 0.5 * (xx + yy) + math.hypot(0.5 * (xx - yy), xy)
         if variance > config.loop_match_maximum_variance:
             return DEGENERATE
         return Found(match.pose, information)
