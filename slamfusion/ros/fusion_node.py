@@ -33,7 +33,7 @@ from slamfusion.ros.drive_input import DriveInput
 from slamfusion.ros.fused_frames import FusedFrames
 from slamfusion.ros.fusion_inputs import ENTRY, FUSION, PREFIX, FusionInputs
 from slamfusion.ros.fusion_services import MAP_TOPIC, FusionServices
-from slamfusion.ros.fusion_state import StateKeeper
+from slamfusion.ros.fusion_state import RESTORED, StateKeeper
 from slamfusion.ros.input_health import Clocks, HeardPose, MapSource, name_writers
 from slamfusion.ros.live_page import LivePage
 from slamfusion.ros.parameters import declare, declare_starts
@@ -110,7 +110,8 @@ class FusionNode(NodeBase):
             start=declare_starts(node, names, may_come=is_open),
         )
         # Of what may fail first, so that a wrong token or a taken port fails early.
-        self._page = LivePage(self, self.settings, self._carry_out) if self.settings.page else None
+        carry_out = FusionServices(self).carry_out
+        self._page = LivePage(self, self.settings, carry_out) if self.settings.page else None
         self._clocks = Clocks(self.clock_s, self.diagnostics)
         # Before the inputs: odometry is received first, then poses.
         device = self._config.device.device
@@ -138,7 +139,6 @@ class FusionNode(NodeBase):
             on_vote=self._on_vote,
             is_heard=lambda: self._agreement_topic.get_subscription_count() > 0,
         )
-        self._services = FusionServices(self)
         self._keeper = StateKeeper(self, self._fusion, self.settings.state_path, names)
         if (kept := self._keeper.restored) is not None:
             self.session.offer(FusedMap(*kept.grids(), kept.stamp_s))
@@ -251,9 +251,6 @@ class FusionNode(NodeBase):
             self.drive.scans.forget_after(self.clock_s())
             self._frames.on_time_jump()
 
-    def _carry_out(self, name: str) -> tuple[bool, str]:
-        return self._services.carry_out(name)
-
     def covariance(self, leader: str, stamp_s: float) -> F64:
         """Return the covariance of the leader's pose by the poses of the other voters."""
         voters = [one.name for one in self.session.snapshot.inputs.values() if one.accepted]
@@ -337,7 +334,7 @@ class FusionNode(NodeBase):
     def _on_vote(self, record: LiveInput) -> None:
         # Two calls: rclpy ties a line of code to one level.
         if record.accepted:
-            self._keeper.confirm()
+            self.diagnostics.clear(RESTORED)
             self.log.info(f"{record.name} votes: {record.reason}")
         else:
             self.log.warning(f"{record.name} does not vote: {record.reason}")
@@ -356,7 +353,7 @@ class FusionNode(NodeBase):
         snapshot, published = self.session.snapshot, self.published
         if not voters:
             words = snapshot.nothing_fused
-            is_worse = published is not None and not self._keeper.is_unconfirmed
+            is_worse = published is not None and not self.diagnostics.is_on(RESTORED)
             level = max(level, Level.ERROR if is_worse else Level.WARN)
         elif out:
             votes = "votes" if voters == 1 else "vote"

@@ -23,6 +23,8 @@ STATE_SHOWN_S = 60.0
 # the quickest alone.
 RETURN_S = 2.0
 UNUSABLE = ".unusable"
+# Diagnostics key of a restart, until an input votes.
+RESTORED = "restored"
 # Bytes of a state in memory per byte of the compressed file.
 GROWTH = 20
 
@@ -103,16 +105,7 @@ class StateKeeper:
             f"restored from {str(path)!r} of {when.isoformat(' ', 'seconds')}, no input confirmed "
             "yet; reset starts a new fused frame"
         )
-        diagnostics.say("restored", text)
-
-    @property
-    def is_unconfirmed(self) -> bool:
-        """Whether no input has voted since the restart."""
-        return self._base.diagnostics.is_on("restored")
-
-    def confirm(self) -> None:
-        """Note that an input votes."""
-        self._base.diagnostics.clear("restored")
+        diagnostics.say(RESTORED, text)
 
     def is_waiting(self, has_come: Callable[[str], bool]) -> bool:
         """Whether known inputs are awaited after a restart."""
@@ -126,7 +119,7 @@ class StateKeeper:
         if state.resets != self._resets:
             self._resets, self._returning, self._unkept_s = state.resets, set(), None
             self._next_s = float("-inf")
-            self.confirm()
+            self._base.diagnostics.clear(RESTORED)
             self._put(None)
         if state.fused_maps != self._fused_maps:
             self._fused_maps, self._unkept_s = state.fused_maps, state.fused_stamp_s

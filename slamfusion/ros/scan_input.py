@@ -13,7 +13,7 @@ from sensor_msgs.msg import LaserScan
 
 from slamfusion.config import ScanNodeConfig
 from slamfusion.errors import ScanError, TrajectoryError
-from slamfusion.geometry import F64, Pose2
+from slamfusion.geometry import F64, Pose2, row_of
 from slamfusion.io.log import FARTHEST_M
 from slamfusion.io.stamps import Passed, StampGate
 from slamfusion.io.transforms import Mount, TransformError
@@ -178,16 +178,16 @@ class ScanInput:
         store, settings = self.odometry, self._settings
         if store is None:
             return None
-        poses: list[Pose2] = []
+        rows: list[F64] = []
         try:
             for time_s in times.tolist():
                 frames = settings.odom_frame, settings.base_frame
-                poses.append(store.lookup(*frames, time_s, self._wait_s(scan, store)))
+                rows.append(row_of(store.lookup(*frames, time_s, self._wait_s(scan, store))))
         except TransformError as error:
-            if poses:
+            if rows:
                 text = f"scans are not deskewed, for their odometry ends within the sweep: {error}"
                 self._base.diagnostics.note("sweep", text)
-                return _rows(poses)
+                return np.array(rows)
             does = "are left out" if is_first else "are matched without it"
             source = f"the topic {self._base.resolved(ODOM_TOPIC)!r}"
             if settings.odometry_source == "tf":
@@ -199,7 +199,7 @@ class ScanInput:
             self._base.diagnostics.say("odometry", text)
             return None
         self._base.diagnostics.clear("odometry")
-        return _rows(poses)
+        return np.array(rows)
 
     def _wait_s(self, scan: ArrivedScan, store: TransformStore) -> float:
         """Return how long a scan may still wait for a store."""
@@ -280,10 +280,6 @@ class ScanInput:
             diagnostics.note("back", f"{text}: a new map starts")
         elif after_s > before_s + FORWARD_JUMP_S:
             diagnostics.note("forward", text)
-
-
-def _rows(poses: list[Pose2]) -> F64:
-    return np.array([(pose.x, pose.y, pose.yaw_rad) for pose in poses])
 
 
 def _way(before_s: float, after_s: float) -> str:
