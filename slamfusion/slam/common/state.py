@@ -97,8 +97,7 @@ class Rows(Stateful):
     def restore(self, state: Mapping[str, Any]) -> None:
         """Take over what ``to_state`` returned."""
         rows = state["rows"]
-        check_shapes(state, {"rows": f"N {self._table.shape[1]}"})
-        check_kinds(state, {"rows": np.float64})
+        check_arrays(state, {"rows": (np.float64, f"N {self._table.shape[1]}")})
         self._table = np.concatenate((rows, np.empty((64, self._table.shape[1]))))
         self._count = len(rows)
 
@@ -306,13 +305,15 @@ def _flat(values: dict[str, Any], where: str = "") -> dict[str, Any]:
 Array = npt.NDArray[Any]
 
 
-def check_shapes(arrays: Mapping[str, Array], wanted: Mapping[str, str]) -> dict[str, int]:
-    """Check shapes, such as ``N 3``, by name; return the length of each letter.
+def check_arrays(
+    arrays: Mapping[str, Array], wanted: Mapping[str, tuple[npt.DTypeLike, str]]
+) -> dict[str, int]:
+    """Refuse arrays of other dtypes or shapes, such as ``N 3``; return the length of each letter.
 
-    A letter stands for the same length everywhere; an empty text for a single value.
+    A letter stands for the same length everywhere.
     """
     lengths: dict[str, int] = {}
-    for name, text in wanted.items():
+    for name, (kind, text) in wanted.items():
         shape, sides = arrays[name].shape, text.split()
         fits = len(shape) == len(sides) and all(
             found == (int(side) if side.isdecimal() else lengths.setdefault(side, found))
@@ -321,14 +322,9 @@ def check_shapes(arrays: Mapping[str, Array], wanted: Mapping[str, str]) -> dict
         if not fits:
             known = ", ".join(f"{side} = {lengths[side]}" for side in sides if side in lengths)
             raise ValueError(f"{name}: wanted the shape ({text}), {known or 'any'}, found {shape}")
-    return lengths
-
-
-def check_kinds(arrays: Mapping[str, Array], wanted: Mapping[str, npt.DTypeLike]) -> None:
-    """Refuse arrays of other dtypes."""
-    for name, kind in wanted.items():
         if arrays[name].dtype != kind:
             raise ValueError(f"{name}: wanted {np.dtype(kind)}, found {arrays[name].dtype}")
+    return lengths
 
 
 def check_indices(name: str, indices: npt.ArrayLike, count: int, *, first: int = 0) -> None:

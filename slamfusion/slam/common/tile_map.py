@@ -22,7 +22,7 @@ from slamfusion.compute.layout import TILE
 from slamfusion.errors import MemoryBudgetError
 from slamfusion.geometry import F64, Pose2
 from slamfusion.grid import OccupancyGrid
-from slamfusion.slam.common.state import check_indices, check_kinds, check_shapes
+from slamfusion.slam.common.state import check_arrays, check_indices
 
 # Tiles for which a pool reserves memory at first: a room's, so that a small map is never copied.
 FIRST_ROOM = 64
@@ -145,14 +145,13 @@ class _Tiles:
     def _restore(self, arrays: Mapping[str, Array], *others: str) -> None:
         """Restore saved pools, pages and corner."""
         kept = {name: pool for name, pool in self.pools.items() if f"pool_{name}" in arrays}
-        shapes = {f"pool_{name}": f"T {TILE} {TILE}" for name in kept}
-        pages = "N H W" if self.pages.ndim > 2 else "H W"
-        lengths = check_shapes(
-            arrays, {**shapes, "pages": pages, "corner": "2", **dict.fromkeys(others, "T")}
-        )
-        kinds: dict[str, npt.DTypeLike] = {"pages": np.int32, "corner": np.int64}
-        check_kinds(arrays, {f"pool_{name}": pool.dtype for name, pool in kept.items()})
-        check_kinds(arrays, kinds | dict.fromkeys(others, np.int32))
+        wanted: dict[str, tuple[npt.DTypeLike, str]] = {
+            "pages": (np.int32, "N H W" if self.pages.ndim > 2 else "H W"),
+            "corner": (np.int64, "2"),
+            **{f"pool_{name}": (pool.dtype, f"T {TILE} {TILE}") for name, pool in kept.items()},
+            **dict.fromkeys(others, (np.int32, "T")),
+        }
+        lengths = check_arrays(arrays, wanted)
         if arrays["pages"].size > MOST_PAGES * max(len(arrays["pages"]), 1):
             raise ValueError(f"a window of {arrays['pages'].shape} pages")
         check_indices("pages", arrays["pages"], lengths.get("T", 0))

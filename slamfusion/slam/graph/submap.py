@@ -22,7 +22,7 @@ from slamfusion.compute.layout import BEAM_ONE, TILE
 from slamfusion.compute.scan_match import FieldWindow
 from slamfusion.geometry import F64, Pose2, wrap_angles
 from slamfusion.slam.common.matcher import FieldMap
-from slamfusion.slam.common.state import check_indices, check_kinds, check_shapes
+from slamfusion.slam.common.state import check_arrays, check_indices
 from slamfusion.slam.common.tile_map import TileMap
 
 # Distance between hits, metres, above which they are not joined: there may be a door.
@@ -180,8 +180,8 @@ class Submap:
 
     def restore(self, arrays: Mapping[str, npt.NDArray[Any]]) -> None:
         """Take over what ``to_arrays`` returned."""
-        check_shapes(arrays, {"own": "3", "low": "2", "high": "2"})
-        check_kinds(arrays, {"own": np.int64, "low": np.float64, "high": np.float64})
+        corner = (np.float64, "2")
+        check_arrays(arrays, {"own": (np.int64, "3"), "low": corner, "high": corner})
         check_indices("own", arrays["own"][2], 2)
         self.anchor, self.scans = (int(value) for value in arrays["own"][:2])
         self._is_finished = bool(arrays["own"][2])
