@@ -128,18 +128,9 @@ def site(
     if not (folder / "truth.pickle").exists():
         folder.mkdir(parents=True, exist_ok=True)
         # In a process of its own: what it takes is no memory of this one.
-        command = [sys.executable, "-m", __spec__.name, "draw", "--maps", str(count)]
-        command += [
-            "--cells",
-            str(cells),
-            "--parts",
-            str(parts),
-            "--seed",
-            str(seed),
-            "--folder",
-            str(folder),
-        ]
-        subprocess.run(command, check=True)
+        wanted = {"maps": count, "cells": cells, "parts": parts, "seed": seed, "folder": folder}
+        options = [f"--{name}={value}" for name, value in wanted.items()]
+        subprocess.run([sys.executable, "-m", __spec__.name, "draw", *options], check=True)
     store = Path(tempfile.mkdtemp(dir=folder)) / "site.zarr"
     names = [f"map_{index}" for index in range(count)]
     words = [str(folder / f"{name}.yaml") for name in names]
