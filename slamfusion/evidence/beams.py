@@ -106,9 +106,9 @@ def scan_hits(item: LogScan) -> ScanHits | None:
     return ScanHits(item.scan.stamp_s, laser, item.odometry, rows)
 
 
-def judged_scans(scans: Iterable[LogScan], most_hits: int = MOST_HITS) -> JudgedScans:
+def judged_scans(scans: Iterable[LogScan]) -> JudgedScans:
     """Choose the hits of a log, in the order of time, on which paths are scored."""
-    return judged_hits((hits for item in scans if (hits := scan_hits(item))), most_hits)
+    return judged_hits(hits for item in scans if (hits := scan_hits(item)))
 
 
 def judged_hits(scans: Iterable[ScanHits], most_hits: int = MOST_HITS) -> JudgedScans:

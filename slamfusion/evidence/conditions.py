@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Literal, TypeAlias, get_args
 
 from slamfusion.compute import ComputeDevice
-from slamfusion.evidence.displacement import REACH_M, find_contradiction
+from slamfusion.evidence.displacement import CONTRADICTED, EXPLAINED, REACH_M, find_contradiction
 from slamfusion.evidence.parting import path_spans
 from slamfusion.evidence.predictive import PathEvidence
 from slamfusion.evidence.recommendation import undecided
@@ -37,12 +37,12 @@ def drive_conditions(
     broken = find_contradiction(evidence, name, device)
     if broken is not None and all(find_contradiction(evidence, other, device) for other in others):
         since = f"since stamp {scans.stamps_s[0] + broken.since_s:.0f} s"
-        if broken.is_elsewhere:
+        if broken.moved_share > CONTRADICTED:  # nothing near it fits
             found["new place"] = (
                 f"{since} {broken.share:.0%} of what the robot sees was free space before: it was "
                 "carried away, or is on another floor"
             )
-        elif broken.is_displaced:
+        elif broken.moved_share < (1.0 - EXPLAINED) * broken.share:
             found["doubled walls"] = (
                 f"{since} {broken.share:.0%} of the walls that the robot sees again are drawn "
                 f"twice, at most {REACH_M:g} m apart: every input has drifted"

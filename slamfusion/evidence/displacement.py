@@ -17,6 +17,7 @@ Royal Statistical Society B 36(2), 1974 (choose on one part, test on the other).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -76,8 +77,7 @@ class Displacement:
     p_value: float
 
 
-@dataclass(frozen=True)
-class Contradiction:
+class Contradiction(NamedTuple):
     """From some time on most of what a robot sees stands where it saw free space before.
 
     Attributes:
@@ -89,16 +89,6 @@ class Contradiction:
     since_s: float
     share: float
     moved_share: float
-
-    @property
-    def is_elsewhere(self) -> bool:
-        """Whether the robot was moved or is on another floor: nothing near it fits."""
-        return self.moved_share > CONTRADICTED
-
-    @property
-    def is_displaced(self) -> bool:
-        """Whether the walls are there, at most ``REACH_M`` away."""
-        return not self.is_elsewhere and self.moved_share < (1.0 - EXPLAINED) * self.share
 
 
 def find_displacements(
