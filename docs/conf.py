@@ -8,7 +8,13 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from slamfusion import config, io
 from slamfusion.version import __version__
+
+# autodoc lists what a package holds, and these load their names on first use.
+for package in (config, io):
+    for name in package.__all__:
+        getattr(package, name)
 
 # pandas loads it where it is installed, and it says with how many threads it works.
 logging.getLogger("numexpr").setLevel(logging.WARNING)
