@@ -205,8 +205,9 @@ def _not_beaten(
     if evidence.nearest == "its mirror image":
         return Decision(
             "different place",
-            f"the maps may show two places: the best fit explains {_share_of_walls(evidence)}, and "
-            f"one of the mirror image, which is no place, {evidence.mirrored:.0%} of that",
+            "the maps may show two places, or one that is its own mirror image (give a start): the "
+            f"best fit explains {_share_of_walls(evidence)}, one of the image "
+            f"{evidence.mirrored:.0%} of that",
         )
     if not is_enough(evidence.pieces * max(evidence.weight, 1.0)):
         return Decision(
