@@ -305,10 +305,6 @@ class MapGraph(Stateful):
         self._health.nodes = len(self.nodes)
         return len(self.nodes) - 1
 
-    def add(self, constraints: Sequence[Constraint]) -> None:
-        """Add constraints that the solution can wait for."""
-        self.constraints += constraints
-
     def add_odometry(self, number: int, matched: Pose2) -> None:
         """Join a node to the previous one by odometry, unless the match contradicts it.
 
@@ -325,7 +321,8 @@ class MapGraph(Stateful):
         away[2] = wrap_angle(away[2])
         if (np.abs(away / sigmas) < ODOMETRY_GATE).all():
             information = INFORMATION_SHARE * np.diag(sigmas**-2.0)
-            self.add([Constraint(number - 1, number, wrapped_row_of(step), information)])
+            motion = wrapped_row_of(step)
+            self.constraints.append(Constraint(number - 1, number, motion, information))
 
     def add_beyond_gap(self, node: Node, moved: Pose2) -> int:
         """Add a node joined to the previous one by odometry only; return its number.
@@ -333,15 +330,15 @@ class MapGraph(Stateful):
         ``moved`` is its pose in the frame of the previous node.
         """
         number = self.add_node(node, self.pose(len(self.nodes) - 1).compose(moved))
+        ends, motion = (number - 1, number), wrapped_row_of(moved)
         for sigmas, is_closure in ((FREE_SIGMAS, False), (GAP_SIGMAS, True)):
             information = np.diag(np.square(1.0 / np.array(sigmas)))
-            motion = wrapped_row_of(moved)
-            self.add([Constraint(number - 1, number, motion, information, is_closure=is_closure)])
+            self.constraints.append(Constraint(*ends, motion, information, is_closure=is_closure))
         return number
 
     def add_closures(self, closures: Sequence[Constraint]) -> None:
         """Add accepted closures; several at once are urgent."""
-        self.add(closures)
+        self.constraints += closures
         self._unsolved += 1
         self._is_urgent = self._is_urgent or len(closures) > 1
 

@@ -133,8 +133,8 @@ class GraphSlam(SavedMapper):
         anchor = self._local_map.active_submap.anchor
         pose = self._graph.pose(anchor).compose(found.local)
         number = self._graph.add_node(seen.node(travelled_m), pose)
-        self._graph.add(
-            self._local_map.constraints(number, seen.points, found.local, found.hessian)
+        self._graph.constraints += self._local_map.constraints(
+            number, seen.points, found.local, found.hessian
         )
         self._graph.add_odometry(number, moved)
         self._path.responses.append(seen.scan.stamp_s, found.score)

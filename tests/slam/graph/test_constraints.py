@@ -171,7 +171,7 @@ def begun_graph(rounds: int = 120) -> MapGraph:
     truth = np.concatenate([true_ring()] * rounds)
     rng = np.random.default_rng(3)
     graph = MapGraph(GraphHealth())
-    graph.add(chain(truth))
+    graph.constraints += chain(truth)
     for pose in drifted(graph.constraints, truth[0], np.array([0.001, 0.0, 0.0005])):
         add_node(graph, pose_of(pose))
     for end in range(16, len(truth), 2):
