@@ -27,7 +27,7 @@
 #define BLOCK 8
 /* Away along x from a cell that is no wall, in 1/256 cell; and the squared distance, from which on
  * there is no wall within reach. */
-#define NO_WALL 0x4000
+#define NO_WALL (1 << 14)
 #define FARTHEST (1 << 27)
 /* Bits of a count that is full. A scan has fewer beams than FULL_HITS, so that no half of a word of
  * `counts` or `sums` flows over. */

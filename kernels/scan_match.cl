@@ -105,7 +105,7 @@ INLINE int window_value(
   const int at = own_row * window.z + own_col;
   const uint low = TWO_CELLS(cells, at), high = TWO_CELLS(cells, at + window.z);
   return blended(
-      low & 255, low >> 8 & 255, high & 255, high >> 8 & 255, x, y, col, row);
+      (uchar)low, (uchar)(low >> 8), (uchar)high, (uchar)(high >> 8), x, y, col, row);
 }
 
 INLINE int window_sum(

@@ -343,7 +343,7 @@ def _nearest_marks(device: ComputeDevice, sample: Sample) -> Arrays:
 MAP_CHECKS: dict[str, Check] = {
     "extend": _extend,
     "score_poses": _score_poses,
-    "climb": _climb,
+    "field_window, climb": _climb,
     "climb_maps": _climb_maps,
     "score_maps": _score_maps,
     "mark_scan, integrate_scan": _scan_map,
