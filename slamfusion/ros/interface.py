@@ -68,85 +68,89 @@ class NameList:
     text: str
 
 
-SENSOR, STREAM = "best effort", "reliable"
-MAP = "reliable, transient local, depth 1"
+LATCHED = "reliable, transient local, depth 1"
 
 
-def _rows(table: str) -> list[list[str]]:
-    """Return the cells of a table; a row goes on in indented lines."""
-    rows = re.split(r"\n(?! )", table.strip())
-    return [" ".join(row.split()).split(" | ") for row in rows]
+def _rows(table: str) -> Iterator[list[str]]:
+    """Yield the cells of each row of a table; its last cell stands on indented lines."""
+    for row in re.split(r"\n(?! )", table.strip()):
+        cells, *text = row.split("\n")
+        yield [*cells.split(" | "), " ".join(line.strip() for line in text)]
 
 
-def _topic(name: str, kind: str, writers: str, readers: str, *rest: str) -> Topic:
-    qos, text, *needs = rest
-    needs_tf2 = needs[0] == "with tf2_msgs" if needs else None
+def _topic(name: str, kind: str, writers: str, readers: str, qos: str, *rest: str) -> Topic:
+    *needs, text = rest
+    qos = LATCHED if qos == "latched" else qos
+    needs_tf2 = needs[0] == "with tf2" if needs else None
     return Topic(name, kind, _nodes(writers), _nodes(readers), qos, text, needs_tf2)
 
 
 def _nodes(group: str) -> tuple[str, ...]:
-    return tuple(group.replace("-", "").split())
+    named = {"-": "", "all": "producers fusion player"}
+    return tuple(named.get(group, group).split())
 
 
-# Name, type, writers, readers, quality of service, text, and whether it depends on tf2_msgs.
+# Name, type, writers, readers, quality of service, whether it depends on tf2_msgs; then the text.
 TOPICS = tuple(
     _topic(*cells)
     for cells in _rows("""
-scan | sensor_msgs/LaserScan | player | producers fusion | best effort | laser scans
-odom | nav_msgs/Odometry | player | producers fusion | best effort | odometry, unless it is taken
-    from the transforms
-NAME/map | nav_msgs/OccupancyGrid | producers | fusion player | reliable, transient local, depth 1
-    | the map of one SLAM, in frame NAME_map (in a namespace robot1/NAME_map)
-NAME/map_updates | map_msgs/OccupancyGridUpdate | - | fusion | reliable | what changed of a map,
-    from costmaps and SLAMs of others; where map_msgs is installed | with tf2_msgs
-NAME/map_metadata | nav_msgs/MapMetaData | producers | - | reliable, transient local, depth 1 |
+scan | sensor_msgs/LaserScan | player | producers fusion | best effort
+    laser scans
+odom | nav_msgs/Odometry | player | producers fusion | best effort
+    odometry, unless it is taken from the transforms
+NAME/map | nav_msgs/OccupancyGrid | producers | fusion player | latched
+    the map of one SLAM, in frame NAME_map (in a namespace robot1/NAME_map)
+NAME/map_updates | map_msgs/OccupancyGridUpdate | - | fusion | reliable | with tf2
+    what changed of a map, from costmaps and SLAMs of others; where map_msgs is installed
+NAME/map_metadata | nav_msgs/MapMetaData | producers | - | latched
     its size and place
-NAME/pose | geometry_msgs/PoseStamped | producers | fusion player | reliable, liveliness lease 0.5
-    s | the robot in the map's frame, one for every scan that was used, with its stamp
-NAME/path | nav_msgs/Path | producers | - | reliable, transient local, depth 1 | the path so far,
-    corrected; the fusion listens while it hears scans
-fused/map | nav_msgs/OccupancyGrid | fusion | - | reliable, transient local, depth 1 | the fused
-    map
-fused/map_updates | map_msgs/OccupancyGridUpdate | fusion | - | reliable | the box of fused/map
-    that changed, unless the map has grown; where map_msgs is installed | with tf2_msgs
-fused/agreement | nav_msgs/OccupancyGrid | fusion | - | reliable, transient local, depth 1 | share
-    of the votes for each cell's value, in percent; -1 unknown; sent only while a node listens; a
-    late listener gets the last one at once
-fused/pose | geometry_msgs/PoseWithCovarianceStamped | fusion | - | reliable | the robot in
-    fused_map: matched to the walls along the fused path where scans are heard, else by the
-    healthiest producer, with the spread of the voters' poses as covariance
-fused/path | nav_msgs/Path | fusion | - | reliable, transient local, depth 1 | the fused path so
-    far, corrected as the scans ask for it; sent only while a node listens, as the player that
-    saves fused/map does, and only where scans are heard
-/diagnostics | diagnostic_msgs/DiagnosticArray | producers fusion player | - | reliable | how each
-    node and each input is, once a second
-/clock | rosgraph_msgs/Clock | player | - | reliable | the log's time
-/tf | tf2_msgs/TFMessage | fusion player | producers fusion player | reliable | fused_map to the
-    frame of every map, odom to base_link of a log; more with publish_tf | with tf2_msgs
-/tf_static | tf2_msgs/TFMessage | fusion player | producers fusion player | reliable, transient
-    local, depth 1 | base_link to the laser of a log | with tf2_msgs
-transforms | geometry_msgs/TransformStamped | fusion player | producers fusion player | reliable |
-    the same as /tf where tf2_msgs is absent | without tf2_msgs
-transforms_static | geometry_msgs/TransformStamped | fusion player | producers fusion player |
-    reliable, transient local, depth 1 | the same as /tf_static where tf2_msgs is absent | without
-    tf2_msgs
+NAME/pose | geometry_msgs/PoseStamped | producers | fusion player | reliable, liveliness lease 0.5 s
+    the robot in the map's frame, one for every scan that was used, with its stamp
+NAME/path | nav_msgs/Path | producers | - | latched
+    the path so far, corrected; the fusion listens while it hears scans
+fused/map | nav_msgs/OccupancyGrid | fusion | - | latched
+    the fused map
+fused/map_updates | map_msgs/OccupancyGridUpdate | fusion | - | reliable | with tf2
+    the box of fused/map that changed, unless the map has grown; where map_msgs is installed
+fused/agreement | nav_msgs/OccupancyGrid | fusion | - | latched
+    share of the votes for each cell's value, in percent; -1 unknown; sent only while a node
+    listens; a late listener gets the last one at once
+fused/pose | geometry_msgs/PoseWithCovarianceStamped | fusion | - | reliable
+    the robot in fused_map: matched to the walls along the fused path where scans are heard, else by
+    the healthiest producer, with the spread of the voters' poses as covariance
+fused/path | nav_msgs/Path | fusion | - | latched
+    the fused path so far, corrected as the scans ask for it; sent only while a node listens, as the
+    player that saves fused/map does, and only where scans are heard
+/diagnostics | diagnostic_msgs/DiagnosticArray | all | - | reliable
+    how each node and each input is, once a second
+/clock | rosgraph_msgs/Clock | player | - | reliable
+    the log's time
+/tf | tf2_msgs/TFMessage | fusion player | all | reliable | with tf2
+    fused_map to the frame of every map, odom to base_link of a log; more with publish_tf
+/tf_static | tf2_msgs/TFMessage | fusion player | all | latched | with tf2
+    base_link to the laser of a log
+transforms | geometry_msgs/TransformStamped | fusion player | all | reliable | no tf2
+    the same as /tf where tf2_msgs is absent
+transforms_static | geometry_msgs/TransformStamped | fusion player | all | latched | no tf2
+    the same as /tf_static where tf2_msgs is absent
 """)
 )
 
-# Name, type, node, text.
+# Name, type, node; then the text.
 SERVICES = tuple(
     Service(*cells)
     for cells in _rows("""
-get_map | nav_msgs/GetMap | fusion | answers the last fused map
-save_map | std_srvs/Trigger | fusion | writes it to save_path, into a folder that is there;
-    answers the path, or why not
-save_map_as | rcl_interfaces/SetParametersAtomically | fusion | the same with path, format (pgm,
-    png, bmp), mode (trinary, scale, raw), free_thresh and occupied_thresh, each if given; the
-    path stays in the folder of save_path
-load_map | nav_msgs/LoadMap | fusion | a saved map becomes an input, or is read again; answers it,
-    or that there is none
-reset | std_srvs/Trigger | fusion | the newest maps begin a new fused frame; the kept state is
-    removed
+get_map | nav_msgs/GetMap | fusion
+    answers the last fused map
+save_map | std_srvs/Trigger | fusion
+    writes it to save_path, into a folder that is there; answers the path, or why not
+save_map_as | rcl_interfaces/SetParametersAtomically | fusion
+    the same with path, format (pgm, png, bmp), mode (trinary, scale, raw), free_thresh and
+    occupied_thresh, each if given; the path stays in the folder of save_path
+load_map | nav_msgs/LoadMap | fusion
+    a saved map becomes an input, or is read again; answers it, or that there is none
+reset | std_srvs/Trigger | fusion
+    the newest maps begin a new fused frame; the kept state is removed
 """)
 )
 

@@ -18,10 +18,9 @@ from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 
 from docs.generate.ros import parameter_file
 from slamfusion.ros.interface import (
-    MAP,
+    LATCHED,
     NAME_LISTS,
     PRODUCERS,
-    SENSOR,
     SERVICES,
     START_NAME,
     TOPICS,
@@ -129,7 +128,7 @@ def test_the_qualities_of_service_are_those_of_a_running_node(started: tuple[str
     group = "producers" if own_name in PRODUCERS else own_name
     for topic in TOPICS:
         # Scans and odometry are read from anybody; of the others it is said how they are written.
-        is_read = topic.qos == SENSOR
+        is_read = topic.qos == "best effort"
         if topic.needs_tf2 is not None or group not in (
             topic.readers if is_read else topic.writers
         ):
@@ -146,7 +145,7 @@ def test_the_qualities_of_service_are_those_of_a_running_node(started: tuple[str
         for profile in own():
             is_kept = profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
             is_best_effort = profile.reliability == ReliabilityPolicy.BEST_EFFORT
-            assert (is_kept, is_best_effort) == (topic.qos == MAP, is_read), name
+            assert (is_kept, is_best_effort) == (topic.qos == LATCHED, is_read), name
 
 
 def test_the_parameters_are_those_of_a_running_node(started: tuple[str, Observer]):
