@@ -141,7 +141,7 @@ __kernel void touch_pages(SCAN, const int reach, __global uchar *touched) {
  * visits, in 1/65536, and at least `least_hits` of them, 1 or more. */
 INLINE bool is_wall(const uint count, const uint occupied, const uint least_hits) {
   const uint hits = count >> HITS_SHIFT, visits = count & VISITS_MASK;
-  return hits >= least_hits && (ulong)hits * SHARE_ONE > (ulong)occupied * visits;
+  return (hits >= least_hits) & (hits * SHARE_ONE > occupied * visits);
 }
 
 /* Count a scan: all cells from the end to the laser are visited, the end is hit if something was.
@@ -213,10 +213,9 @@ INLINE short mean_offset(const uint sum, const float per_hit) {
 /* Find the mean hit of a cell; x is NO_WALL where it is not occupied. */
 INLINE void find_wall(
     const uint seen, const uint sum, const uint occupied, const uint least_hits, short *x, short *y) {
-  const uint hits = seen >> HITS_SHIFT, visits = seen & VISITS_MASK;
+  const uint hits = seen >> HITS_SHIFT;
   const float per_hit = 1.0f / (float)(hits > 1 ? hits : 1);
-  const bool wall = (hits >= least_hits) & (hits * SHARE_ONE > occupied * visits);
-  *x = wall ? mean_offset(sum >> SUM_SHIFT, per_hit) : NO_WALL;
+  *x = is_wall(seen, occupied, least_hits) ? mean_offset(sum >> SUM_SHIFT, per_hit) : NO_WALL;
   *y = mean_offset(sum & SUM_MASK, per_hit);
 }
 

@@ -85,7 +85,7 @@ __kernel void copy_window(
   }
 }
 
-/* Two cells beside each other, the first in the lowest byte; the higher bytes are anything. One word
+/* Two neighbouring cells of a row, the first in the lowest byte; the higher bytes are anything. One word
  * is one gather; the window's last row, which only such words reach, is not looked at. */
 #ifdef UNALIGNED_WORDS
 #define TWO_CELLS(cells, at) (*(__global const uint *)((cells) + (at)))
@@ -195,10 +195,11 @@ INLINE float pose_loss(
   return least;
 }
 
-/* Climb from some poses over a window: each work-group takes one; in each round its items try a step each from
- * the group's best pose, and the best of them (the first of equals) is where the next round starts.
+/* Climb from some poses over a window: each work-group takes one; in each round its items try a step
+ * each from the group's best pose, and the best of them (the first of equals) is where the next round
+ * starts.
  *
- * starts   float, START_FLOATS per group: x, y in cells of the window, yaw, cos, sin
+ * starts   float, START_FLOATS per group: x, y in cells of the pages, yaw, cos, sin
  * steps    float, START_FLOATS per round, group and item: dx, dy, dyaw, cos, sin of dyaw
  * scale    from a sum of the field to a score
  * found    float, FOUND_FLOATS per group: x, y, yaw, cos, sin, score less loss

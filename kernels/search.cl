@@ -109,6 +109,39 @@ __kernel void tile_peaks(__global const int *forward, __global const int *backwa
 /* The sum of the two cells that a word of two ints names: words leave a vector in half the moves. */
 #define AT_BOTH(word) (field[(uint)(word)] + field[(word) >> 32])
 
+/* A number in Q30 in 32 bits: `drop` bits are rounded off. */
+INLINE int narrowed(const long value, const int drop) { return (value + (1L << (drop - 1))) >> drop; }
+
+/* The field where eight points meet it, summed; `minus_met` loses 1 in the lane of each that does. A
+ * point off the field reads its first cell, which `with_rest` puts right. */
+INLINE int eight_met(__global const uchar *field, const int height, const int width, const int8 col,
+                     const int8 row, int8 *minus_met) {
+  const int8 inside = (as_uint8(col) < (uint8)width) & (as_uint8(row) < (uint8)height);
+  *minus_met += inside;
+  const ulong4 two = as_ulong4(inside & (row * width + col));
+  return (AT_BOTH(two.x) + AT_BOTH(two.y)) + (AT_BOTH(two.z) + AT_BOTH(two.w));
+}
+
+/* What points are worth in all, of which the first were summed in lanes: with those from `next` to
+ * `stop`, less than eight, and `base` for each of `count` that is off the field. */
+INLINE int with_rest(int sum, const int8 minus_met, __global const int *points, const int stride,
+                     const int next, const int stop, const int count, const int cosine,
+                     const int sine, const int tx, const int ty, const int shift,
+                     __global const uchar *field, const int height, const int width,
+                     const int base) {
+  const int4 four = minus_met.lo + minus_met.hi;
+  int met = -(four.x + four.y + four.z + four.w);
+  for (int i = next; i < stop; i++) {
+    const int x2 = points[i], y2 = points[stride + i];
+    const int col = (cosine * x2 - sine * y2 + tx) >> shift;
+    const int row = (sine * x2 + cosine * y2 + ty) >> shift;
+    const int inside = ((uint)col < (uint)width) & ((uint)row < (uint)height);
+    sum += field[inside ? row * width + col : 0];
+    met += inside;
+  }
+  return sum + (count - met) * (base - (int)field[0]);
+}
+
 /* What the points are worth under each pose, summed over chunks of points:
  * partial[chunk, p] = sum of the field in the cells that the points meet, `base` for those off it.
  * points (2, stride) int: x of all points about their middle, then y, stride and chunk multiples of 8;
@@ -116,7 +149,6 @@ __kernel void tile_peaks(__global const int *forward, __global const int *backwa
  * `shift` remain below a whole cell (see narrow_motions);
  * field (height, width) uchar; partial (chunks, n) int.
  * 32 bits, so that eight points move at once: three times as fast on PoCL as one by one in 64.
- * A point off the field reads its first cell, which is put right at the end.
  * Work item c * n + p does chunk c under pose p: of two dimensions the groups are so wide that with
  * one chunk, as of most motions, fifteen of sixteen items would have nothing to do.
  * Global: (chunks * n). */
@@ -127,9 +159,8 @@ __kernel void pose_scores(__global const int *points, const int count, const int
                           __global int *partial) {
   const int c = get_global_id(0) / n, p = get_global_id(0) % n;
   if (c >= chunks) return;
-  const long upward = 1L << (drop - 1);
-  const int cosine = (motions[p] + upward) >> drop, sine = (motions[n + p] + upward) >> drop;
-  const int tx = (motions[2 * n + p] + upward) >> drop, ty = (motions[3 * n + p] + upward) >> drop;
+  const int cosine = narrowed(motions[p], drop), sine = narrowed(motions[n + p], drop);
+  const int tx = narrowed(motions[2 * n + p], drop), ty = narrowed(motions[3 * n + p], drop);
   const int first = c * chunk, stop = LOWER(first + chunk, count);
   const int even = first + ((stop - first) & ~7);
   int sum = 0;
@@ -139,22 +170,10 @@ __kernel void pose_scores(__global const int *points, const int count, const int
     const int8 y2 = *(__global const int8 *)(points + stride + i);
     const int8 col = (cosine * x2 - sine * y2 + tx) >> shift;
     const int8 row = (sine * x2 + cosine * y2 + ty) >> shift;
-    const int8 inside = (as_uint8(col) < (uint8)width) & (as_uint8(row) < (uint8)height);
-    minus_met += inside;
-    const ulong4 two = as_ulong4(inside & (row * width + col));
-    sum += (AT_BOTH(two.x) + AT_BOTH(two.y)) + (AT_BOTH(two.z) + AT_BOTH(two.w));
+    sum += eight_met(field, height, width, col, row, &minus_met);
   }
-  const int4 four = minus_met.lo + minus_met.hi;
-  int met = -(four.x + four.y + four.z + four.w);
-  for (int i = even; i < stop; i++) {
-    const int x2 = points[i], y2 = points[stride + i];
-    const int col = (cosine * x2 - sine * y2 + tx) >> shift;
-    const int row = (sine * x2 + cosine * y2 + ty) >> shift;
-    const int inside = ((uint)col < (uint)width) & ((uint)row < (uint)height);
-    sum += field[inside ? row * width + col : 0];
-    met += inside;
-  }
-  partial[c * n + p] = sum + (stop - first - met) * (base - (int)field[0]);
+  partial[c * n + p] = with_rest(sum, minus_met, points, stride, even, stop, stop - first, cosine, sine,
+                                 tx, ty, shift, field, height, width, base);
 }
 
 /* What the points are worth under each motion and its eight neighbours, shifted by a step along x, y
@@ -169,16 +188,15 @@ __kernel void neighbour_scores(__global const int *points, const int count, cons
                                __global int *partial) {
   const int c = get_global_id(0) / n, p = get_global_id(0) % n;
   if (c >= chunks) return;
-  const long upward = 1L << (drop - 1);
-  const int cosine = (motions[p] + upward) >> drop, sine = (motions[n + p] + upward) >> drop;
-  const long x = motions[2 * n + p] + upward, y = motions[3 * n + p] + upward;
+  const int cosine = narrowed(motions[p], drop), sine = narrowed(motions[n + p], drop);
+  const long x = motions[2 * n + p], y = motions[3 * n + p];
   const long a = motions[4 * n + p], b = motions[5 * n + p];
   int tx[NEIGHBOURS], ty[NEIGHBOURS], sum[NEIGHBOURS];
   int8 minus_met[NEIGHBOURS];
   for (int k = 0; k < NEIGHBOURS; k++) {
     const int i = k / 3 == 2 ? 1 : -(k / 3), j = k % 3 == 2 ? 1 : -(k % 3);
-    tx[k] = (x + i * a - j * b) >> drop;
-    ty[k] = (y + i * b + j * a) >> drop;
+    tx[k] = narrowed(x + i * a - j * b, drop);
+    ty[k] = narrowed(y + i * b + j * a, drop);
     sum[k] = 0;
     minus_met[k] = 0;
   }
@@ -191,24 +209,13 @@ __kernel void neighbour_scores(__global const int *points, const int count, cons
 #pragma unroll
     for (int k = 0; k < NEIGHBOURS; k++) {
       const int8 col = (across + tx[k]) >> shift, row = (up + ty[k]) >> shift;
-      const int8 inside = (as_uint8(col) < (uint8)width) & (as_uint8(row) < (uint8)height);
-      minus_met[k] += inside;
-      const ulong4 two = as_ulong4(inside & (row * width + col));
-      sum[k] += (AT_BOTH(two.x) + AT_BOTH(two.y)) + (AT_BOTH(two.z) + AT_BOTH(two.w));
+      sum[k] += eight_met(field, height, width, col, row, &minus_met[k]);
     }
   }
   for (int k = 0; k < NEIGHBOURS; k++) {
-    const int4 four = minus_met[k].lo + minus_met[k].hi;
-    int met = -(four.x + four.y + four.z + four.w);
-    for (int i = even; i < stop; i++) {
-      const int x2 = points[i], y2 = points[stride + i];
-      const int col = (cosine * x2 - sine * y2 + tx[k]) >> shift;
-      const int row = (sine * x2 + cosine * y2 + ty[k]) >> shift;
-      const int inside = ((uint)col < (uint)width) & ((uint)row < (uint)height);
-      sum[k] += field[inside ? row * width + col : 0];
-      met += inside;
-    }
-    partial[(c * n + p) * NEIGHBOURS + k] = sum[k] + (stop - first - met) * (base - (int)field[0]);
+    partial[(c * n + p) * NEIGHBOURS + k] =
+        with_rest(sum[k], minus_met[k], points, stride, even, stop, stop - first, cosine, sine, tx[k],
+                  ty[k], shift, field, height, width, base);
   }
 }
 

@@ -32,8 +32,7 @@ __kernel void piece_words(__global const uchar *field, __global const ushort *di
 
 /* What the points of each piece meet under each pose: sums[0, p, piece] = the field less `base`,
  * sums[1, p, piece] the most it could be, sums[2, p, piece] points in seen cells. Points off the field
- * meet nothing, nor does, where `sided`, a wall that the field speaks for and that was seen from
- * another side.
+ * meet nothing, nor does, where `sided`, a wall that the field has and that was seen from another side.
  * points (count, 2) int lattice positions, a piece's one after the other; starts (pieces + 1) int, the
  * first point of each, and the count; sides (count) uchar, what each point faces; poses (n, 4) long
  * Q30, points to field; turns (n) int, how far they turn, in parts; words (height, width) of
@@ -48,12 +47,10 @@ __kernel void piece_sums(__global const int *points, __global const int *starts,
   const int turn = turns[p];
   int values = 0, most = 0, seen = 0;
   const long4 pose = vload4(p, poses);
-  const long x_start = pose.z, y_start = pose.w;
   const int stop = starts[piece + 1];
   for (int i = starts[piece]; i < stop; i++) {
-    const long x2 = points[2 * i], y2 = points[2 * i + 1];
-    const uint col = (pose.x * x2 - pose.y * y2 + x_start) >> FIXED_TO_CELL_SHIFT;
-    const uint row = (pose.y * x2 + pose.x * y2 + y_start) >> FIXED_TO_CELL_SHIFT;
+    const int2 cell = fixed_cell(pose, points[2 * i], points[2 * i + 1]);
+    const uint col = cell.x, row = cell.y;
     if (col >= (uint)width || row >= (uint)height) continue;
     const uint word = words[row * width + col];
     const int value = (int)(uchar)word - base;

@@ -20,7 +20,7 @@ from slamfusion.align.features import FIELD_TOP, FINE_TABLE, GridFeatures, sprea
 from slamfusion.align.pair import Pair
 from slamfusion.compute.arrays import I32
 from slamfusion.compute.layout import FIXED_ONE
-from slamfusion.compute.search import CountedSide, ScoredSide
+from slamfusion.compute.search import STEPS, CountedSide, ScoredSide
 from slamfusion.compute.wall_pieces import PieceSide
 from slamfusion.geometry import F64
 
@@ -35,8 +35,6 @@ SCORED_POINTS = 4096
 # Factor on the unexplained evidence if at most a quarter is unexplained and both maps may be good.
 # With 1 a large common ground that fits badly outweighs a small right one.
 GOOD_DOUBT = 2.0
-# Of a neighbour along each axis.
-STEPS = (0, -1, 1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,14 +161,15 @@ def _pieces(
     size = pair.resolution
     side = PIECE_M * max(1.0, sigma * size / PIECE_WIDTH_M)
     cut = size / (2.0 * side), most_points
-    looked_up = []
+    looked_up, tables = [], []
     for own, motions, other in sides:
         table, words = other.piece_words(sigma)
         looked_up.append(PieceSide(own.pieces(*cut), motions, words, table.base))
+        tables.append(table)
     found = []
     sums = pair.device.piece_sums(*looked_up, sided=sided)
-    for (own, _, other), (given, could, met) in zip(sides, sums, strict=True):
-        level, table = own.level(1), other.piece_words(sigma)[0]
+    for (own, *_), table, (given, could, met) in zip(sides, tables, sums, strict=True):
+        level = own.level(1)
         # Half, since both maps' walls are counted.
         metres = 0.5 * size * len(level.points) / max(1, min(len(level.points), most_points))
         unit = table.unit * metres

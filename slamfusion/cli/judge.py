@@ -121,11 +121,11 @@ def command(
     found: dict[str, JudgedPaths] = {}
     several = len(cases) > 1
     with progress_bar() if several else contextlib.nullcontext() as progress:
-        for case, files in known.items():
+        for (case, files), own_log in zip(known.items(), logs, strict=True):
             if progress is not None:
                 progress("judge", len(found), len(cases))
             found[case] = judge_paths(
-                files.log or "",
+                own_log.path,
                 {item.name: item.path for item in placed if item.case == case},
                 config,
                 device,
@@ -171,11 +171,11 @@ def _print(found: JudgedPaths) -> None:
 
     answer = found.recommendation
     columns, rows = path_table(answer)
-    heads = ("ATE rmse [m]", "relations mean [m]")
-    for what, errors in zip(heads, errors_m(found.measures).values(), strict=True):
+    heads = {"ATE": "ATE rmse [m]", "relations": "relations mean [m]"}
+    for kind, errors in errors_m(found.measures).items():
         if errors:
             ranks = {name: str(rank) for rank, name in enumerate(errors, start=1)}
-            columns += [what, "rank"]
+            columns += [heads[kind], "rank"]
             for row, path in zip(rows, answer.paths, strict=True):
                 row += [number(errors.get(path.name), 4), ranks.get(path.name, NOTHING)]
     print_table(columns, rows, title=f"Paths of {found.files.log}, the recommended one first")

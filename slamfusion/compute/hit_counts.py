@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.compute.arrays import F32, I64, U8, U32, ArrayDevice, DeviceArray, host
+from slamfusion.compute.arrays import BOOL, F32, I64, U8, U32, ArrayDevice, DeviceArray, host
 from slamfusion.compute.layout import (
     BEAM_ONE,
     BEAM_SHIFT,
@@ -167,7 +167,7 @@ def _walks(scan: BeamScan, shape: tuple[int, ...]) -> tuple[I64, I64, I64]:
     return beam // max(1, len(scan.ends)), row, col
 
 
-def _is_wall(counts: U32, rule: FieldRule) -> npt.NDArray[np.bool_]:
+def _is_wall(counts: U32, rule: FieldRule) -> BOOL:
     """Return which cells are occupied."""
     hits, visits = (counts >> HITS_SHIFT).astype(np.int64), (counts & VISITS_MASK).astype(np.int64)
     return np.asarray((hits >= rule.least_hits) & (hits * SHARE_ONE > rule.occupied * visits))

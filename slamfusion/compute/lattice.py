@@ -8,12 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.compute.arrays import ArrayDevice, DeviceArray
+from slamfusion.compute.arrays import I32, I64, ArrayDevice, DeviceArray
 from slamfusion.compute.layout import FIXED_ONE, FIXED_TO_CELL_SHIFT, SHIFT_POINTS
 from slamfusion.geometry import F64
-
-I32 = npt.NDArray[np.int32]
-I64 = npt.NDArray[np.int64]
 
 # Points that kernels move at once; planes of points are a multiple long.
 POINT_LANES = 8

@@ -82,8 +82,9 @@ class FitSide(NamedTuple):
 
 # Points, cells and rows that one work item sums; the host adds the sums.
 CHUNK_POINTS, CHUNK_SCORED, CHUNK_CELLS, CHUNK_ROWS = 64, 512, 4096, 16
-# Steps along x and y of the ``NEIGHBOURS``.
-NEIGHBOUR_STEPS = [(x, y) for x in (0, -1, 1) for y in (0, -1, 1)]
+# Of a neighbour along each axis, and along x and y of the ``NEIGHBOURS``.
+STEPS = (0, -1, 1)
+NEIGHBOUR_STEPS = [(x, y) for x in STEPS for y in STEPS]
 
 
 def _half_open(spans: I32, point: int) -> tuple[int, int, int, int]:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.compute.arrays import I8, I32, I64, U8, U16, ArrayDevice
+from slamfusion.compute.arrays import BOOL, I8, I32, I64, U8, U16, ArrayDevice
 from slamfusion.compute.layout import (
     ALONG_COL,
     ALONG_ROW,
@@ -60,7 +60,6 @@ class Votes(NamedTuple):
         )
 
 
-Mask = npt.NDArray[np.bool_]
 Cell = npt.NDArray[np.intp]
 Cells = tuple[Cell, ...]
 
@@ -82,7 +81,7 @@ def _majority_shares(count: int, *, unknown_votes: bool) -> npt.NDArray[np.uint6
 
 
 def _votes(
-    winner: I64, own: I64 | I32, cast: I64 | I32, outvoted: Mask, phantom_cells: int
+    winner: I64, own: I64 | I32, cast: I64 | I32, outvoted: BOOL, phantom_cells: int
 ) -> Votes:
     percent = (200 * own + cast) // np.maximum(2 * cast, 1)
     agreement = np.where(cast > 0, percent, -1).astype(np.int8)
@@ -232,7 +231,7 @@ class VoteDevice(ArrayDevice):
         return _votes(winner, voted, cast, outvoted, 0)
 
 
-def _walls_stand(stack: U8, amount: I32, trust: I32, ways: U8) -> tuple[Mask, I32, Mask, Mask]:
+def _walls_stand(stack: U8, amount: I32, trust: I32, ways: U8) -> tuple[BOOL, I32, BOOL, BOOL]:
     """Return where walls stand that face some ways; see ``VoteDevice.vote_walls``.
 
     Args:
@@ -253,7 +252,7 @@ def _walls_stand(stack: U8, amount: I32, trust: I32, ways: U8) -> tuple[Mask, I3
     return stands & (2 * (trust * near).sum(axis=0) >= VOTE_ONE), support, against, same
 
 
-def _same_wall(own: U8, at: Cells, ways: U8, reach: int) -> tuple[Cell, Cell, Mask]:
+def _same_wall(own: U8, at: Cells, ways: U8, reach: int) -> tuple[Cell, Cell, BOOL]:
     """Return rows and columns (K,) of the nearest wall of one input that faces some ways.
 
     The search goes along rows and columns from ``at``, ``reach`` cells far; also returns which

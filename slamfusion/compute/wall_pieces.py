@@ -9,14 +9,13 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from slamfusion.compute.arrays import F64, I32, I64, U8, ArrayDevice, DeviceArray, host
+from slamfusion.compute.arrays import BOOL, F64, I32, I64, U8, ArrayDevice, DeviceArray, host
 from slamfusion.compute.lattice import fixed_cells
 from slamfusion.compute.layout import FACING_PARTS, OPPOSED_PARTS, RUN
 
 
-def is_another(own: U8, other: U8, turn: int) -> npt.NDArray[np.bool_]:
+def is_another(own: U8, other: U8, turn: int) -> BOOL:
     """Return (N,) whether two walls were seen from opposite sides; 0 is an unknown facing.
 
     The own ones are turned by ``turn``, in parts of a turn.

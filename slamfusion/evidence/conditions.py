@@ -48,6 +48,8 @@ def drive_conditions(
                 f"twice, at most {REACH_M:g} m apart: every input has drifted"
             )
     spans = {other: path_spans(evidence, other, name) for other in others}
+    if all(own[-1].agrees for own in spans.values()):
+        return found
     now = [
         f"since stamp {scans.stamps_s[0] + span.from_s:.0f} s {rival} is up to {span.gap_m:.1f} m "
         f"from the {name} path, and no scan shows which is right"

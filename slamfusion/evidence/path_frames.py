@@ -60,7 +60,7 @@ def lay_paths(
     longest = max(paths.values(), key=len)
     stamps_s = longest.stamps_s
     poses = np.full((len(paths), len(stamps_s), 3), np.nan)
-    believed = np.zeros(poses.shape[:2])
+    trusted = np.zeros(poses.shape[:2])
     for row, (name, path) in enumerate(paths.items()):
         if not len(path):
             raise TrajectoryError(f"{name}: the path has no pose; leave it out")
@@ -74,8 +74,8 @@ def lay_paths(
                 "give paths of the same scans"
             )
         poses[row, meets] = path.poses[near[meets]]
-        believed[row, meets] = weight
-    return LaidPaths(tuple(paths), stamps_s, _in_one_frame(poses, believed), believed)
+        trusted[row, meets] = weight
+    return LaidPaths(tuple(paths), stamps_s, _in_one_frame(poses, trusted), trusted)
 
 
 def pose_distances(a: F64, b: F64) -> F64:
@@ -198,7 +198,7 @@ def find_modes(poses: F64, weights: F64, least_m: float, most_m: float) -> F64:
     """
     count, questions = poses.shape[:2]
     has = np.isfinite(poses[..., 0])
-    believed = np.where(has, np.maximum(weights, LEAST_BELIEF), 0.0)
+    trusted = np.where(has, np.maximum(weights, LEAST_BELIEF), 0.0)
     apart = np.full((count, count, questions), np.inf)
     for a in range(count):
         for b in range(count):
@@ -206,7 +206,7 @@ def find_modes(poses: F64, weights: F64, least_m: float, most_m: float) -> F64:
             apart[a, b, both] = pose_distances(poses[a, both], poses[b, both])
     nearest = np.where(np.eye(count, dtype=np.bool_)[:, :, None], np.inf, apart).min(axis=1)
     scales = np.clip(nearest, least_m, most_m)
-    density = (believed[None] * geman_mcclure(apart / scales.min(axis=0))).sum(axis=1)
+    density = (trusted[None] * geman_mcclure(apart / scales.min(axis=0))).sum(axis=1)
     start = np.where(has, density, -1.0).argmax(axis=0)
     every = np.arange(questions)
     mode, scale = poses[start, every], scales[start, every]
@@ -214,7 +214,7 @@ def find_modes(poses: F64, weights: F64, least_m: float, most_m: float) -> F64:
         known = np.where(has[..., None], poses, mode)
         away = known - mode
         away[..., 2] = wrap_angles(away[..., 2])
-        pull = believed * geman_mcclure(pose_distances(known, mode) / scale)
+        pull = trusted * geman_mcclure(pose_distances(known, mode) / scale)
         mode = mode + (pull[..., None] * away).sum(axis=0) / pull.sum(axis=0)[:, None]
     mode[:, 2] = wrap_angles(mode[:, 2])
     return np.asarray(mode)

@@ -273,7 +273,7 @@ def _odometry_at(scans: JudgedScans, path: Trajectory) -> Trajectory | None:
 def _settled(
     evidence: PathEvidence, path: Trajectory, told: float, device: ComputeDevice
 ) -> tuple[Trajectory, PathEvidence]:
-    """Lay scans on each other along a path, and along what came of it while that gains."""
+    """Lay scans on each other along a path, and along the result while that gains."""
     refined = refine_path(evidence.scans, path)
     both = with_path(evidence, _REFINED, refined, device)
     for _ in range(1, MOST_ROUNDS):

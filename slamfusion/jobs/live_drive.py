@@ -348,7 +348,8 @@ class LiveDrive:
                 evidence = score_paths(scans, {**paths, FUSED: path}, self._device)
         except SlamFusionError:
             return None  # the paths have no scan in common yet
-        self._doubts = _doubts(evidence)
+        contradicted = _contradicted(evidence)
+        self._doubts = _doubts(evidence, contradicted)
         own_lattice = self._lattice or Lattice(resolution or 0.05, Pose2())
         drawn = None
         if resolution is not None:
@@ -369,7 +370,7 @@ class LiveDrive:
             Evidence(corrections, self._doubts, own_lattice, drawn),
             drive_conditions(evidence, FUSED, self._device),
             depth == "final",
-            WallMap.of(scans, path, _disagreement(evidence)),
+            WallMap.of(scans, path, _disagreement(evidence, contradicted)),
         )
 
     def _continued(
@@ -453,12 +454,20 @@ def _solved(
     return fuse_weighed_paths(paths, evidence, device)
 
 
-def _doubts(evidence: PathEvidence) -> dict[str, str]:
+def _contradicted(evidence: PathEvidence) -> list[str]:
+    """Return the inputs of which the scans surely support the fused path more."""
+    names = []
+    for name in evidence.scores:
+        found = None if name == FUSED else evidence.compare(FUSED, name)
+        if found and found.difference > LEAST_DIFFERENCE and found.p_value < SURE:
+            names.append(name)
+    return names
+
+
+def _doubts(evidence: PathEvidence, contradicted: Sequence[str]) -> dict[str, str]:
     """Return bent, contradicted inputs and why; none if all leave the fused path."""
     found = {}
-    for name in evidence.scores:
-        if name == FUSED or not _is_contradicted(evidence, name):
-            continue
+    for name in contradicted:
         bent = _bent_at(evidence, name)
         if bent.any():
             since_s = evidence.scans.stamps_s[evidence.is_judged][np.argmax(bent)]
@@ -484,22 +493,16 @@ def _bent_at(evidence: PathEvidence, name: str) -> npt.NDArray[np.bool_]:
     return bent
 
 
-def _disagreement(evidence: PathEvidence) -> F64:
+def _disagreement(evidence: PathEvidence, contradicted: Sequence[str]) -> F64:
     """Return the mean square, (3, 3), of how far inputs end from the fused path.
 
     Only of inputs that the scans support as well: the path of the others is known to be wrong. If
     they contradict all, no input confirms the fused path, and all count.
     """
     inputs = [name for name in evidence.scores if name != FUSED]
-    names = [name for name in inputs if not _is_contradicted(evidence, name)] or inputs
+    names = [name for name in inputs if name not in contradicted] or inputs
     gaps = np.array([path_gaps(evidence, name, FUSED)[-1] for name in names])
     return np.asarray(gaps.T @ gaps / len(gaps))
-
-
-def _is_contradicted(evidence: PathEvidence, name: str) -> bool:
-    """Whether the scans surely support the fused path more than an input's."""
-    found = evidence.compare(FUSED, name)
-    return found.difference > LEAST_DIFFERENCE and found.p_value < SURE
 
 
 def _part(path: Trajectory, after_s: float, until_s: float) -> Trajectory:

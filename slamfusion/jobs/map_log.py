@@ -268,11 +268,12 @@ def save_mapped_log(
         outputs.append(state)
     saved = replace(mapped, producers=(replace(mapped.result, files=outputs, state_file=state),))
     config = mapped.made_with.config
-    packed = None if state is None else _packed_state(mapped.mapper, state)
+    # Packed ahead: a file that a producer writes within the block would only appear at its end.
+    packed = {} if state is None else {state: _packed_state(mapped.mapper, state)}
     with AtomicFiles():
         write_producer(mapped.result.run, saved, stem, config, probabilities=probabilities)
-        if state is not None and packed is not None:
-            write_atomic(state, packed)
+        for path, data in packed.items():
+            write_atomic(path, data)
         if report is not None:
             _write_report(mapped, Path(report))
     return saved

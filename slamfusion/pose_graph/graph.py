@@ -115,12 +115,17 @@ def joining(
 
 def chained_poses(graph: PoseGraph, root: int = 0) -> F64:
     """Return (N, 3) poses chained from ``root`` along odometry first; loops are not closed."""
-    parts, _ = part_labels(graph.edges, len(graph))
-    if parts > 1:
-        raise GraphError(disconnected(parts))
+    check_connected(graph)
     closing = graph.is_closure.copy()
     closing[joining(graph.edges, graph.is_closure, len(graph))] = False
     return _walk(graph, np.flatnonzero(~closing), root)
+
+
+def check_connected(graph: PoseGraph) -> None:
+    """Raise ``GraphError`` if the graph is in several parts."""
+    parts, _ = part_labels(graph.edges, len(graph))
+    if parts > 1:
+        raise GraphError(disconnected(parts))
 
 
 def disconnected(parts: int) -> str:

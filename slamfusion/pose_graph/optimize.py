@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from slamfusion.errors import GraphError
 from slamfusion.geometry import F64, wrap_angles
-from slamfusion.pose_graph.graph import PoseGraph, chained_poses, disconnected, joining, part_labels
+from slamfusion.pose_graph.graph import PoseGraph, chained_poses, check_connected, joining
 from slamfusion.pose_graph.least_squares import Measurements, Steps, at_once, rotations_first
 from slamfusion.pose_graph.robust import InlierSet, Problem, consensus, dcs, gnc
 
@@ -91,9 +91,7 @@ def optimize_in_steps(
     held = (fixed,) if isinstance(fixed, (int, np.integer)) else tuple(fixed)
     if not held or not all(0 <= pose < len(graph) for pose in held):
         raise GraphError(f"poses to hold must be some of 0 to {len(graph) - 1}, found {held}")
-    parts, _ = part_labels(graph.edges, len(graph))
-    if parts > 1:
-        raise GraphError(disconnected(parts))
+    check_connected(graph)
     was_outlier = None
     if weights is not None:
         earlier = np.asarray(weights)

@@ -6,7 +6,6 @@ Diagnostics, safe callbacks, a ``Worker`` for long work, the compute device, clo
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import hashlib
 import logging
 import math
@@ -35,6 +34,7 @@ from rclpy.signals import SignalHandlerOptions
 
 from slamfusion.compute import ComputeDevice, open_device
 from slamfusion.errors import ConfigError
+from slamfusion.io.files import return_freed_memory
 from slamfusion.ros import qos
 from slamfusion.ros.parameters import TypedNode, unknown_parameters
 
@@ -496,10 +496,9 @@ def run_node(make: Callable[[], NodeBase], arguments: Sequence[str] | None = Non
 
 def _trim() -> None:
     """Return freed memory to the system now and then: solutions leave holes among small objects."""
-    trim = getattr(ctypes.CDLL(None), "malloc_trim", None)  # glibc's
-    while trim is not None:
+    while True:
         time.sleep(TRIM_S)
-        trim(0)
+        return_freed_memory()
 
 
 def invalid_name(error: NameValidationException) -> str:

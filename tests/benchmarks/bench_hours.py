@@ -25,7 +25,7 @@ from rich.table import Table
 
 from slamfusion.compute import open_device
 from slamfusion.config import RunConfig
-from slamfusion.geometry import Pose2
+from slamfusion.geometry import Pose2, row_of
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import LogScan, open_log
 from slamfusion.slam.registry import BUILT_IN
@@ -76,9 +76,9 @@ def chunks(log: Path, seconds: float) -> Iterator[list[tuple[int, LogScan]]]:
             chunk = []
 
 
-def memory_mb() -> float:
-    """Return the resident memory of this process."""
-    pages = Path("/proc/self/statm").read_text().split()[1]
+def resident_mb(process: int | str = "self") -> float:
+    """Return the resident memory of a process."""
+    pages = Path(f"/proc/{process}/statm").read_text().split()[1]
     return int(pages) * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
@@ -90,14 +90,7 @@ def produce(kind: str, log: Path, seconds: float, answers: Connection) -> None:
         poses, slowest_s, before_s = [], 0.0, time.process_time()
         for _, item in chunk:
             began_s = time.process_time()
-            queued = QueuedScan(
-                item.scan.stamp_s,
-                time.monotonic(),
-                0,
-                lambda item=item: item.scan,  # type: ignore[misc]
-                lambda times, item=item: _still(times, item.odometry),  # type: ignore[misc]
-            )
-            answer = session.feed(queued)
+            answer = session.feed(_queued(item))
             assert answer is not None, session.snapshot
             poses.append(answer.pose)
             slowest_s = max(slowest_s, time.process_time() - began_s)
@@ -108,11 +101,16 @@ def produce(kind: str, log: Path, seconds: float, answers: Connection) -> None:
         kept = np.unique(np.linspace(0, len(path) - 1, PATH_POSES).round().astype(int))
         path = Trajectory(path.stamps_s[kept], path.poses[kept], kind)
         spent_s = time.process_time() - before_s
-        answers.send(Chunk(poses, path, grid.with_name(kind), spent_s, slowest_s, memory_mb()))
+        answers.send(Chunk(poses, path, grid.with_name(kind), spent_s, slowest_s, resident_mb()))
 
 
-def _still(times: np.ndarray, pose: Pose2 | None) -> np.ndarray | None:
-    return None if pose is None else np.tile((pose.x, pose.y, pose.yaw_rad), (len(times), 1))
+def _queued(item: LogScan) -> QueuedScan:
+    pose = item.odometry
+
+    def odometry_at(times: np.ndarray) -> np.ndarray | None:
+        return None if pose is None else np.tile(row_of(pose), (len(times), 1))
+
+    return QueuedScan(item.scan.stamp_s, time.monotonic(), 0, lambda: item.scan, odometry_at)
 
 
 class Row:
@@ -131,13 +129,6 @@ class Row:
             f"{1e3 * self.slowest_s:.0f}",
             apart,
         ]
-
-    def take(self, scans: int, cpu_s: float, slowest_s: float, memory: float) -> None:
-        """Add what a chunk of scans took."""
-        self.scans += scans
-        self.cpu_s += cpu_s
-        self.slowest_s = max(self.slowest_s, slowest_s)
-        self.memory_mb = memory
 
 
 class Hours:
@@ -167,7 +158,11 @@ class Hours:
 
     def took(self, name: str, scans: int, cpu_s: float, slowest_s: float, memory: float) -> None:
         """Add what a node took for a chunk of scans."""
-        self._rows[name].take(scans, cpu_s, slowest_s, memory)
+        row = self._rows[name]
+        row.scans += scans
+        row.cpu_s += cpu_s
+        row.slowest_s = max(row.slowest_s, slowest_s)
+        row.memory_mb = memory
 
 
 class Fusion:
@@ -197,7 +192,7 @@ class Fusion:
                 hours.take("fusion", index, located.pose)
             robot.online.clear()
         robot.is_undecided.clear()
-        hours.took("fusion", len(chunk), time.process_time() - before_s, slowest_s, memory_mb())
+        hours.took("fusion", len(chunk), time.process_time() - before_s, slowest_s, resident_mb())
 
 
 def drive(log: Path, options: argparse.Namespace) -> Table:

@@ -41,6 +41,7 @@ from slamfusion.sim.courses import named_course, with_overrides
 from slamfusion.sim.simulate import Recording, simulate
 from slamfusion.slam.registry import make_producer
 from slamfusion.trajectory import Trajectory
+from tests.benchmarks.bench_hours import resident_mb
 from tests.benchmarks.record import add_record_option, console_for
 from tests.ros.drives import as_sent
 from tests.ros.live import Observer, Process, Processes, free_domain, ros_environment, values
@@ -105,12 +106,6 @@ class Watch:
             self.figures = values(told)
             self.waiting.append(int(self.figures.get("scans waiting", 0)))
             self.p95_ms.append(float(self.figures["latency p95 [ms]"]))
-
-
-def resident_mb(number: int) -> float:
-    """Return the resident memory of a process."""
-    pages = Path(f"/proc/{number}/statm").read_text().split()[1]
-    return int(pages) * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
 def cpu_s(number: int) -> dict[str, float]:

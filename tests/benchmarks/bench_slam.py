@@ -40,7 +40,7 @@ from slamfusion.evaluation.statistics import mean_interval
 from slamfusion.evaluation.trajectory_error import trajectory_errors
 from slamfusion.experiments.tinyslam import RELATIONS, Drive, read_drive
 from slamfusion.fusion.path_check import moved_path
-from slamfusion.geometry import F64, compose_poses, invert_poses, wrap_angles
+from slamfusion.geometry import F64, compose_poses, invert_poses, row_of, wrap_angles
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import LogScan, open_log, read_trajectory, save_map
 from slamfusion.io.log import odometry_path
@@ -239,7 +239,7 @@ def closure_errors(closures: Sequence[Closure], truth: Trajectory) -> F64:
         return np.zeros((0, 2))
     nearest = truth.nearest([(item.start_s, item.end_s) for item in closures])
     first, second = truth.poses[nearest[:, 0]], truth.poses[nearest[:, 1]]
-    said = np.array([(m.x, m.y, m.yaw_rad) for m in (item.motion for item in closures)])
+    said = np.array([row_of(item.motion) for item in closures])
     left = compose_poses(invert_poses(compose_poses(invert_poses(first), second)), said)
     return np.stack((np.hypot(left[:, 0], left[:, 1]), np.abs(wrap_angles(left[:, 2]))), axis=1)
 

@@ -154,7 +154,7 @@ class ScanOnTiles:
         cell, yaw0 = self._cell, hypotheses[0].pose[2]
 
         def rows(poses: F64) -> F64:
-            """Convert to cells of the window, headings near 0, within float32's precision."""
+            """Convert to cells of the pages, headings near 0, within float32's precision."""
             yaw = wrap_angles(poses[:, 2] - yaw0)
             return np.column_stack((poses[:, :2] / cell - self._corner, yaw))
 

@@ -254,7 +254,7 @@ class Gmapping(SavedMapper):
         return self._maps.grid(self._particles.best, self.name)
 
     def memory_bytes(self) -> int:
-        """Return the bytes of the maps, reserves of their pools included, and of the paths."""
+        """Return the bytes of the maps and of the paths."""
         return self._maps.tiles.memory_bytes + self._paths.memory_bytes
 
 

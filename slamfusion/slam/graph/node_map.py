@@ -18,7 +18,7 @@ from slamfusion.compute.hit_counts import BeamScan, halve_counts, percent_of_cou
 from slamfusion.compute.layout import MOST_BEAMS
 from slamfusion.config import GraphConfig
 from slamfusion.geometry import F64, Pose2
-from slamfusion.grid import UNKNOWN, OccupancyGrid
+from slamfusion.grid import OccupancyGrid, known_box
 from slamfusion.slam.common.mapper import MapJob
 from slamfusion.slam.common.tile_map import SharedTileMaps
 
@@ -92,11 +92,10 @@ class NodeMap:
             self._config.min_pass_through,
         )
         # Cropped in whole cells: the origin does not depend on the window.
-        known = percent != UNKNOWN
-        rows, cols = np.flatnonzero(known.any(axis=1)), np.flatnonzero(known.any(axis=0))
-        if len(rows):
-            percent = percent[rows[0] : rows[-1] + 1, cols[0] : cols[-1] + 1]
-            first = first + np.array((cols[0], rows[0]))
+        box = known_box(percent)
+        if box is not None:
+            percent = percent[box.row0 : box.row1, box.col0 : box.col1]
+            first = first + np.array((box.col0, box.row0))
         origin = Pose2(*(float(v) for v in (first + anchor) * cell))
         return OccupancyGrid(percent, cell, origin, job.name)
 

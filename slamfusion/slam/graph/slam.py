@@ -79,9 +79,9 @@ class GraphSlam(SavedMapper):
     def feed(self, scan: LaserScan, odometry: Pose2 | None = None) -> Step:
         """Follow the robot to a scan; make it a node where it has gone far enough."""
         self.health.scans += 1
-        if self.last_stamp_s is not None and scan.stamp_s - self.last_stamp_s > PAUSE_S:
+        last_s = self.last_stamp_s
+        if last_s is not None and (pause_s := scan.stamp_s - last_s) > PAUSE_S:
             self.health.pauses += 1
-            pause_s = scan.stamp_s - self.last_stamp_s
             self.health.longest_pause_s = max(self.health.longest_pause_s, pause_s)
 
         self._graph.go_on()

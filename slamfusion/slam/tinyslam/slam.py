@@ -199,7 +199,7 @@ class TinySlam:
         return known_part(percent, self._anchor, first, self._config.resolution, self.name)
 
     def memory_bytes(self) -> int:
-        """Return the bytes of the map, reserves of its pools included."""
+        """Return the bytes of the map."""
         return self._map.memory_bytes
 
     # -- one scan ------------------------------------------------------------------------------
