@@ -182,7 +182,7 @@ def _all_motions(laid: LaidPaths, over_long: LaidPaths, poses: F64) -> _Motions:
         for span in SPANS
         if span < count
     ]
-    groups.append(_between(over_long, *_visits(poses)))
+    groups.append(_between(over_long, *visits(poses)))
     groups.append(_in_frame(over_long, poses))
     return _Motions(
         *(
@@ -198,8 +198,8 @@ def _span(count: int, span: int) -> tuple[I64, I64]:
     return starts, starts + span
 
 
-def _visits(poses: F64) -> tuple[I64, I64]:
-    """Return pairs of scans at one place with a long way between them, evenly spread."""
+def visits(poses: F64) -> tuple[I64, I64]:
+    """Return pairs of (N, 3) poses at one place with a long way between them, evenly spread."""
     scans = np.arange(0, len(poses), max(1, -(-len(poses) // VISITING_SCANS)), dtype=np.int64)
     travelled_m = travelled(poses)[scans]
     near = scipy.spatial.KDTree(poses[scans, :2]).query_pairs(VISIT_M, output_type="ndarray")

@@ -12,6 +12,7 @@ Of more scans every second one is dropped, except those of the window.
 
 from __future__ import annotations
 
+import math
 import threading
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -19,6 +20,7 @@ from typing import Literal, NamedTuple, TypeAlias, get_args
 
 import numpy as np
 import numpy.typing as npt
+import scipy
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.errors import SlamFusionError
@@ -33,8 +35,9 @@ from slamfusion.evidence.beams import (
 )
 from slamfusion.evidence.conditions import Condition, drive_conditions
 from slamfusion.evidence.drawn_map import DrawnScan, draw_map, drawn_scans
+from slamfusion.evidence.fused_path import visits
 from slamfusion.evidence.parting import parted, path_gaps
-from slamfusion.evidence.patches import ScanMatch, WallMap
+from slamfusion.evidence.patches import LEAST_HITS, ScanMatch, WallMap
 from slamfusion.evidence.path_frames import moved_onto
 from slamfusion.evidence.predictive import SURE, PathEvidence, score_paths
 from slamfusion.evidence.recommendation import LEAST_DIFFERENCE
@@ -65,6 +68,9 @@ CORRECTED_S = 1.0
 # metres and radians.
 CORRECTION_M, CORRECTION_RAD = 0.05, 0.02
 STEP_M, STEP_RAD = 0.01, 0.005
+# Three patches of wall determine a pose. With fewer hits the odometry does: deviation of a way by
+# it, share of the way, and of the turn, radians per metre.
+LEAST_SEEN, DRIFT = 3 * LEAST_HITS, 0.1
 # The last located scans are added to the walls each time this number of scans was located.
 ADDED_SCANS = 5
 # A stamp that goes back by more, seconds, is that of a new drive.
@@ -154,6 +160,8 @@ class LiveDrive:
         self._scans: list[_Kept] = []
         # By input: stamp, x, y and yaw of each pose.
         self._poses: dict[str, list[list[float]]] = {}
+        # Stamps of the scans with too few hits for a pose.
+        self._blind_s: list[float] = []
         self._solved = 0
         self._path: Trajectory | None = None
         self._lattice: Lattice | None = None
@@ -174,9 +182,11 @@ class LiveDrive:
     def add_scan(self, item: LogScan) -> None:
         """Take a scan, deskewed, with the odometry at its stamp if there is any."""
         hits, drawn = scan_hits(item), drawn_scans([item])
-        if hits is None:
-            return
         with self._lock:
+            if hits is None or len(hits.rows) < LEAST_SEEN:
+                self._blind_s.append(item.scan.stamp_s)
+            if hits is None:
+                return
             last = self._scans[-1].hits if self._scans else None
             if last is not None and hits.stamp_s <= last.stamp_s:
                 if hits.stamp_s > last.stamp_s - BACK_S:
@@ -224,6 +234,7 @@ class LiveDrive:
         self._generation += 1
         self._scans.clear()
         self._poses.clear()
+        self._blind_s.clear()
         self._walls = self._grown = None
         self._located, self._corrections = [], {}
 
@@ -253,10 +264,13 @@ class LiveDrive:
             solved, grown, last = self._walls, self._grown, self._corrections.get(name)
             recent = (one.hits for one in self._scans[: -LEAST_SCANS - 1 : -1])
             scan = next((own for own in recent if abs(own.stamp_s - stamp_s) <= SAME_STAMP_S), None)
+            located = self._located[-1][1] if self._located else None
         if last is None:
             return None
         motion, before = last
-        expected, covariance = motion.compose(pose), before + _variances(STEP_M, STEP_RAD)
+        expected = motion.compose(pose)
+        way_m = 0.0 if located is None else math.dist((expected.x, expected.y), located[:2])
+        covariance = before + _variances(STEP_M + DRIFT * way_m, STEP_RAD + DRIFT * way_m)
         if solved is None or grown is None:
             return ScanMatch(expected, covariance, fits=False)
         found = None if scan is None else grown.match(scan, expected, covariance)
@@ -296,6 +310,8 @@ class LiveDrive:
         old = max(old, MOST_SCANS // 2)
         self._scans = self._scans[:old:2] + self._scans[old:]
         kept_s = np.array([kept.hits.stamp_s for kept in self._scans])
+        after = np.searchsorted(kept_s[:-1], self._blind_s)
+        self._blind_s = np.unique(kept_s[after]).tolist()
         for name, own in self._poses.items():
             if own:
                 nearest = nearest_stamps(np.array([row[0] for row in own]), kept_s)
@@ -327,6 +343,7 @@ class LiveDrive:
                 self._path, self._lattice, self._doubts = None, None, {}
             kept = list(self._scans)
             poses = {name: np.array(own) for name, own in self._poses.items() if own}
+            blind_s = np.array(self._blind_s)
         if len(kept) < CHUNKS:
             return None
         scans = judged_hits(
@@ -365,12 +382,14 @@ class LiveDrive:
         if self._generation != generation:
             return None  # it was forgotten meanwhile
         corrections = {name: _correction(own, path) for name, own in paths.items()}
+        drift = DRIFT * _blind_m(path, blind_s)
+        covariance = _disagreement(evidence, contradicted) + _variances(drift, drift)
         return DriveSolution(
             path,
             Evidence(corrections, self._doubts, own_lattice, drawn),
             drive_conditions(evidence, FUSED, self._device),
             depth == "final",
-            WallMap.of(scans, path, _disagreement(evidence, contradicted)),
+            WallMap.of(scans, path, covariance),
         )
 
     def _continued(
@@ -503,6 +522,26 @@ def _disagreement(evidence: PathEvidence, contradicted: Sequence[str]) -> F64:
     names = [name for name in inputs if name not in contradicted] or inputs
     gaps = np.array([path_gaps(evidence, name, FUSED)[-1] for name in names])
     return np.asarray(gaps.T @ gaps / len(gaps))
+
+
+def _blind_m(path: Trajectory, blind_s: F64) -> float:
+    """Return how far the last pose of a path is from the first by scans with too few hits, metres.
+
+    That is the least such way along the path and from one visit of a place to another.
+    """
+    count, steps = len(path), np.unique(np.searchsorted(path.stamps_s, blind_s))
+    steps = steps[(steps > 0) & (steps < count)]
+    if not len(steps):
+        return 0.0
+    ways_m = np.full(count, 1e-9)  # an edge of length 0 would be none
+    ways_m[steps] += np.hypot(*(path.poses[steps] - path.poses[steps - 1])[:, :2].T)
+    first, second = visits(path.poses)
+    ends = np.arange(count - 1)
+    starts, ends = np.concatenate((ends, first)), np.concatenate((ends + 1, second))
+    ways_m = np.concatenate((ways_m[1:], np.full(len(first), 1e-9)))
+    graph = scipy.sparse.csr_matrix((ways_m, (starts, ends)), shape=(count, count))
+    from_first = np.zeros(1, dtype=np.int64)
+    return float(scipy.sparse.csgraph.dijkstra(graph, directed=False, indices=from_first)[0, -1])
 
 
 def _part(path: Trajectory, after_s: float, until_s: float) -> Trajectory:

@@ -23,7 +23,7 @@ from slamfusion.evaluation.map_error import MapError
 from slamfusion.evidence.beams import judged_scans
 from slamfusion.evidence.drawn_map import draw_map, drawn_scans
 from slamfusion.evidence.patches import ScanMatch
-from slamfusion.evidence.path_frames import moved_onto
+from slamfusion.evidence.path_frames import fit_frame, moved_onto
 from slamfusion.evidence.predictive import score_paths
 from slamfusion.experiments.fusions import against_truth
 from slamfusion.experiments.tinyslam import ATE, RELATIONS, Drive, read_drive
@@ -187,6 +187,7 @@ class Robot:
     Attributes:
         named_s: when each input was named first, a stamp.
         online: the newest pose in the fused frame, at each scan from the first solution on.
+        first_path: of the first solution.
         is_undecided: at each of these, whether the node says that the path may be wrong.
         fused: the newest fused map.
         cpu_s: processor time of all solutions and updates, seconds.
@@ -200,6 +201,7 @@ class Robot:
         self.solution: DriveSolution | None = None
         self.named_s: dict[str, float] = {}
         self.online: list[tuple[float, ScanMatch]] = []
+        self.first_path = Trajectory(np.empty(0), np.empty((0, 3)), "none")
         self.is_undecided: list[bool] = []
         self.fused: OccupancyGrid | None = None
         self.cpu_s = 0.0
@@ -264,6 +266,8 @@ class Robot:
     def _take(self, now_s: float, solution: DriveSolution | None) -> None:
         if solution is None:
             return
+        if self.solution is None:
+            self.first_path = solution.path
         self.solution = solution
         self.drive.take(solution)
         for name in solution.evidence.doubts:
@@ -307,9 +311,12 @@ def bend_m(path: Trajectory, right: Trajectory) -> float:
 def far_shares(robot: Robot, online: Trajectory, right: Trajectory) -> tuple[float, float]:
     """Return the shares of poses that are far off, and of those that are also not named.
 
-    A pose is named if three of its deviations reach as far, or the path is named as undecided.
+    In the frame that the first solution gives. A pose is named if three of its deviations reach as
+    far, or the path is named as undecided.
     """
-    off = moved_onto(online, [right]).poses - right.poses[right.nearest(online.stamps_s)]
+    first = robot.first_path
+    frame = fit_frame(first.poses, right.poses[right.nearest(first.stamps_s)])
+    off = moved_poses(frame, online.poses) - right.poses[right.nearest(online.stamps_s)]
     off_m = np.hypot(*off[:, :2].T)
     variances = [np.trace(located.covariance[:2, :2]) for _, located in robot.online]
     is_named = (9.0 * np.array(variances) >= off_m**2) | np.array(robot.is_undecided)

@@ -353,6 +353,33 @@ def test_new_poses_are_located_on_the_solved_walls(device: ComputeDevice) -> Non
     assert robot.live.locate("a", 1e3, drifted) is None
 
 
+def test_where_scans_see_too_little_the_pose_is_less_sure(device: ComputeDevice) -> None:
+    robot = Robot(device)
+    for at, item in enumerate(robot.scans[60:90], 60):
+        ranges = np.full_like(item.scan.ranges, np.inf)
+        robot.scans[at] = replace(item, scan=replace(item.scan, ranges=ranges))
+    robot.drive_to(60)
+    robot.live.take(solved(robot, lattice=LATTICE, transforms=in_frame_of_a()))
+    robot.drive_to(90, "a")
+    way_m = math.dist(*((pose.x, pose.y) for pose in (robot.truth[59], robot.truth[89])))
+    found = robot.live.locate("a", robot.scans[89].scan.stamp_s, robot.pose_of("a"))
+    assert found is not None
+    assert found.covariance[0, 0] > (live_drive.DRIFT * way_m) ** 2
+    robot.drive_to(SCANS)
+    walls = solved(robot).walls
+    assert walls is not None
+    assert math.sqrt(walls.covariance[0, 0]) == pytest.approx(live_drive.DRIFT * way_m, rel=0.3)
+
+
+def test_a_place_that_is_seen_again_is_as_sure_as_before() -> None:
+    x = np.concatenate((np.arange(100), np.arange(100, -1, -1))) * 0.1
+    path = Trajectory(np.arange(len(x)) * 0.1, np.column_stack((x, 0.0 * x, 0.0 * x)), "fused")
+    blind_s = np.arange(2.05, 4.0, 0.1)
+    far = Trajectory(path.stamps_s[:80], path.poses[:80], "fused")
+    assert live_drive._blind_m(far, blind_s) == pytest.approx(2.0)
+    assert live_drive._blind_m(path, blind_s) == pytest.approx(0.0, abs=1e-3)
+
+
 def test_a_new_room_is_matched_before_a_solution_has_seen_it(device: ComputeDevice) -> None:
     robot = Robot(device)
     for at, item in enumerate(robot.scans):  # a short sight
