@@ -28,9 +28,14 @@ from rclpy.clock_type import ClockType
 from rclpy.duration import Duration
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.exceptions import NameValidationException
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.executors import ExternalShutdownException
 from rclpy.qos import QoSCompatibility, qos_check_compatible, qos_policy_name_from_kind
 from rclpy.signals import SignalHandlerOptions
+
+try:  # its cost does not grow with the number of subscriptions
+    from rclpy.experimental import EventsExecutor as Executor
+except ImportError:  # rclpy before 7.1.5
+    from rclpy.executors import SingleThreadedExecutor as Executor
 
 from slamfusion.compute import ComputeDevice, open_device
 from slamfusion.errors import ConfigError
@@ -48,8 +53,6 @@ FINAL = "final at [s]"
 FORWARD_JUMP_S = 10.0
 # The executor checks for a signal at this interval.
 SPIN_S = 0.1
-# Longest rest of an executor, seconds.
-REST_MAX_S = 0.02
 # Freed memory is returned to the system at this interval, seconds; taking it again costs time.
 TRIM_S = 10.0
 # Past events stay in the diagnostics this long, seconds.
@@ -265,11 +268,6 @@ class NodeBase:
     Args:
         name: the node's name unless ``--ros-args -r __node:=NAME`` says otherwise.
         arguments: ROS arguments of this node alone, after those of ``rclpy.init``.
-
-    Attributes:
-        rest: rest of the executor as a multiple of its work, 20 ms at most; 0: none. Each wake-up
-            of rclpy checks every subscription, so the cost grows with the square of their number;
-            resting gathers messages into fewer wake-ups.
     """
 
     def __init__(
@@ -280,7 +278,6 @@ class NodeBase:
         self.diagnostics = Diagnostics(self.log)
         self.is_stopped = False
         self.exit_code = 0
-        self.rest = 0.0
         # Read profiles of topics with an incompatible writer.
         self._mismatched: dict[str, Any] = {}
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -510,14 +507,11 @@ def invalid_name(error: NameValidationException) -> str:
 
 
 def _spin(base: NodeBase) -> None:
-    executor = SingleThreadedExecutor()
+    executor = Executor()
     executor.add_node(base.node)
     try:
         while not base.is_stopped and rclpy.ok():
-            began_s = time.thread_time()
             executor.spin_once(timeout_sec=SPIN_S)
-            if base.rest:
-                time.sleep(min(base.rest * (time.thread_time() - began_s), REST_MAX_S))
     except ExternalShutdownException:
         pass
     finally:

@@ -45,7 +45,7 @@ CHANGEABLE = (
     *("correction_speed", "correction_turn", "on_new_place"),
 )
 # Timer periods: publishing and the odometry frame; frames and inputs; publishers of the inputs; the
-# page. Each wake-up of the executor takes about 1 ms.
+# page.
 TURN_S, LOOK_S, LOOK_AROUND_S, SHOW_S = 0.05, 0.1, 1.0, 0.5
 # Advice in a new place, by ``on_new_place``.
 NEW_PLACE = {
@@ -55,8 +55,6 @@ NEW_PLACE = {
 }
 # Diagnostics level of an input's state; else WARN.
 LEVELS = {State.TRACKED: Level.OK, State.LOST: Level.STALE}
-# With this many inputs the executor rests (``NodeBase.rest``).
-MANY, REST = 8, 3.0
 
 
 class FusionNode(NodeBase):
@@ -177,8 +175,6 @@ class FusionNode(NodeBase):
         for grid in saved:
             read = partial(self._on_page, grid.name, grid)
             self._fusion.put(grid.name, read, time.monotonic(), is_saved=True)
-        # With many inputs leave the worker three quarters of the interpreter's time.
-        self.rest = REST if len(self.inputs.sources) >= MANY else 0.0
         self._wake()
 
     def _wake(self) -> None:
