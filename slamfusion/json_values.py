@@ -8,8 +8,6 @@ from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 # Metadata of a field with a record whose keys replace the field; None has no keys.
 FLAT = {"flat": True}
 # Metadata of a field with a pose, which is printed as its numbers, metres and radians.
@@ -71,10 +69,10 @@ def plain(value: Any) -> Any:
         value = record_keys(value)
     if isinstance(value, Mapping):
         return {str(key): plain(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple, np.ndarray)):
+    if hasattr(value, "tolist"):  # an array or a number of NumPy, which loads slowly
+        value = value.tolist()
+    if isinstance(value, (list, tuple)):
         return [plain(item) for item in value]
-    if isinstance(value, np.generic):
-        value = value.item()
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     return str(value) if isinstance(value, Path) else value

@@ -130,7 +130,7 @@ def command(
                 config,
                 device,
                 relations=files.relations,
-                odometry=files.odometry_file,
+                odometry=files.odometry,
                 truth=files.truth,
                 scan_odometry=files.scan_odometry,
                 fused=fused,
@@ -172,7 +172,7 @@ def _print(found: JudgedPaths) -> None:
     answer = found.recommendation
     columns, rows = path_table(answer)
     heads = {"ATE": "ATE rmse [m]", "relations": "relations mean [m]"}
-    for kind, errors in errors_m(found.measures).items():
+    for kind, errors in errors_m(found.measured).items():
         if errors:
             ranks = {name: str(rank) for rank, name in enumerate(errors, start=1)}
             columns += [heads[kind], "rank"]

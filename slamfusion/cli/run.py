@@ -267,7 +267,7 @@ def _print_slams(run: LogRun) -> None:
     from slamfusion.evaluation.measured import Measures  # noqa: PLC0415  (loads slowly)
 
     errors = {item.name: item for item in run.evaluations}
-    measures = {name: own for name, (_, own) in run.paths.items()}
+    measures = {name: own.measures for name, own in run.paths.items()}
     notes = {item.name: f"NO MAP: {item.failed}" for item in run.failed}
     made = run.results
     names = [item.name for item in run.producers]

@@ -276,6 +276,27 @@ class Measures(PathErrors):
     """The same of the path as it was first reported, of a producer that corrects it later."""
 
 
+@dataclass(frozen=True, eq=False, kw_only=True)
+class MeasuredPath:
+    """A path and its errors."""
+
+    trajectory: Trajectory = field(repr=False)
+    measures: Measures = field(default=Measures(), metadata=FLAT)
+    name: str = field(init=False)
+    """The path."""
+    file: Path | None = None
+    """Its file; null where there is none."""
+    poses: int = field(init=False)
+    """Its poses."""
+    path_length_m: float = field(init=False)
+    """Its length, metres."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "name", self.trajectory.name)
+        object.__setattr__(self, "poses", len(self.trajectory))
+        object.__setattr__(self, "path_length_m", self.trajectory.path_length_m())
+
+
 @dataclass(frozen=True, eq=False)
 class Yardsticks:
     """What paths are compared with.

@@ -213,38 +213,17 @@ BEYOND_M, BEYOND_RAD = 1.0, 1.0
 BETWEEN_S = 1.0
 
 
-@dataclass(frozen=True, eq=False)
-class CoveredPath:
-    """A path at the stamps of scans.
+def cover_stamps(path: Trajectory, scans: JudgedScans) -> tuple[F64, B8]:
+    """Return a path's pose at each scan; the path may be sparse, on the clock of the scans.
 
-    Attributes:
-        poses: (N, 3) float64, metres and radians, in the path's frame; NaN where it has none.
-        is_own: (N,) bool, where the path itself has a pose for the scan.
-        is_covered: (N,) bool, where there is a pose, its own or by odometry.
+    Returns:
+        (N, 3) float64 poses in the path's frame, NaN where it has none and odometry gives none;
+        and (N,) bool, where the path itself has a pose for the scan.
     """
-
-    poses: F64
-    is_own: B8
-    is_covered: B8
-
-    @property
-    def own_share(self) -> float:
-        """Share of the scans for which the path itself has a pose."""
-        return float(self.is_own.mean())
-
-    @property
-    def covered_share(self) -> float:
-        """Share of the scans for which there is a pose."""
-        return float(self.is_covered.mean())
-
-
-def cover_stamps(path: Trajectory, scans: JudgedScans) -> CoveredPath:
-    """Return a path's pose at each scan; the path may be sparse, on the clock of the scans."""
     count = len(scans)
     poses = np.full((count, 3), np.nan)
     if not len(path):
-        nowhere = np.zeros(count, dtype=np.bool_)
-        return CoveredPath(poses, nowhere, nowhere.copy())
+        return poses, np.zeros(count, dtype=np.bool_)
     stamps_s = scans.stamps_s
     near, is_own = path.matches(stamps_s)
     poses[is_own] = path.poses[near[is_own]]
@@ -269,7 +248,7 @@ def cover_stamps(path: Trajectory, scans: JudgedScans) -> CoveredPath:
         poses[gap] = blend_poses(onward, backward, share)
         beyond = gap[~is_between[gap] & _is_far(scans, path, gap)]
         poses[beyond] = np.nan
-    return CoveredPath(poses, is_own, np.isfinite(poses[:, 0]))
+    return poses, is_own
 
 
 def no_common_time(name: str, path: Trajectory, stamps_s: F64) -> TrajectoryError:

@@ -23,9 +23,8 @@ def drive_conditions(
     evidence: PathEvidence, name: str, device: ComputeDevice
 ) -> Mapping[Condition, str]:
     """Return what is wrong with a drive so far, in words, by the path called ``name``."""
-    scans, covered = evidence.scans, evidence.scores[name].path
-    here = covered.is_own
-    path = Trajectory(scans.stamps_s[here], covered.poses[here], name)
+    scans, score = evidence.scans, evidence.scores[name]
+    path = Trajectory(scans.stamps_s[score.is_own], score.poses[score.is_own], name)
     found: dict[Condition, str] = {}
     if scans.odometry is not None:
         recent = scans.stamps_s >= scans.stamps_s[-1] - RECENT_S

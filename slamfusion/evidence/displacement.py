@@ -177,8 +177,8 @@ def _drawn(
     evidence: PathEvidence, name: str, device: ComputeDevice, reach_cells: int = REACH_CELLS
 ) -> tuple[DrawnChunks, float]:
     """Return the chunks along a path, and the log-likelihood of a hit where nothing was seen."""
-    path, is_judged = evidence.scores[name].path, evidence.is_judged
-    drawn = DrawnChunks.of(name, path, evidence.scans, is_judged, device, reach_cells)
+    poses, is_judged = evidence.scores[name].poses, evidence.is_judged
+    drawn = DrawnChunks.of(name, poses, evidence.scans, is_judged, device, reach_cells)
     return drawn, float(np.log(UNKNOWN))
 
 

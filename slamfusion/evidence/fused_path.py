@@ -22,8 +22,8 @@ constraints for robust pose graph SLAM, IROS 2012 (what is robust is the single 
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -31,7 +31,6 @@ import scipy
 
 from slamfusion.evidence.path_frames import (
     FROM_MEDIAN,
-    LaidPaths,
     consensus_poses,
     find_modes,
     geman_mcclure,
@@ -124,28 +123,32 @@ def fuse_paths(
         TrajectoryError: see ``lay_paths``.
         GraphError: the equations cannot be solved in double precision.
     """
-    laid = lay_paths(paths, weights)
-    over_long = _counted_once(laid, sharing_fault)
-    poses = consensus_poses(over_long)
-    if len(laid.names) > 1 and len(laid) > 1:
-        poses = _optimized(laid, over_long, poses)
-    return Trajectory(laid.stamps_s, poses, name)
+    stamps_s, laid, trusted = lay_paths(paths, weights)
+    over_long = _counted_once(
+        trusted, [row for row, own in enumerate(paths) if own in sharing_fault]
+    )
+    poses = consensus_poses(laid, over_long)
+    if len(paths) > 1 and len(stamps_s) > 1:
+        poses = _optimized(laid, trusted, over_long, poses)
+    return Trajectory(stamps_s, poses, name)
 
 
-def _counted_once(laid: LaidPaths, names: Collection[str]) -> LaidPaths:
-    """Lower the weights of some paths to the best one's share."""
-    rows = [row for row, name in enumerate(laid.names) if name in names]
+def _counted_once(weights: F64, rows: Sequence[int]) -> F64:
+    """Lower the weights (K, N) of some paths to the best one's share."""
     if len(rows) < 2:
-        return laid
-    weights = laid.weights.copy()
+        return weights
+    weights = weights.copy()
     together = weights[rows].sum(axis=0)
     weights[rows] *= weights[rows].max(axis=0) / np.where(together > 0.0, together, 1.0)
-    return replace(laid, weights=weights)
+    return weights
 
 
-def _optimized(laid: LaidPaths, over_long: LaidPaths, poses: F64) -> F64:
-    """Return (N, 3) poses that fit the motions of the paths best."""
-    measured = _all_motions(laid, over_long, poses)
+def _optimized(laid: F64, weights: F64, over_long: F64, poses: F64) -> F64:
+    """Return (N, 3) poses that fit the motions of the paths (K, N, 3) best.
+
+    ``weights`` (K, N) count over short spans, ``over_long`` over long ones.
+    """
+    measured = _all_motions(laid, weights, over_long, poses)
     edges = np.stack((measured.starts, measured.ends), axis=1)
     deviations = measured.deviations
     never_closure = np.zeros(len(edges), dtype=np.bool_)
@@ -174,16 +177,16 @@ def _robust_weights(poses: F64, measured: _Motions) -> F64:
     return np.where(measured.is_settled, 1.0, geman_mcclure(np.sqrt(squares / HALF_WAY)))
 
 
-def _all_motions(laid: LaidPaths, over_long: LaidPaths, poses: F64) -> _Motions:
+def _all_motions(laid: F64, weights: F64, over_long: F64, poses: F64) -> _Motions:
     """Return every measurement of the graph; the pose behind the last is the common frame."""
-    count = len(laid)
+    count = len(poses)
     groups = [
-        _between(over_long if span >= LONG_SPAN else laid, *_span(count, span))
+        _between(laid, over_long if span >= LONG_SPAN else weights, *_span(count, span))
         for span in SPANS
         if span < count
     ]
-    groups.append(_between(over_long, *visits(poses)))
-    groups.append(_in_frame(over_long, poses))
+    groups.append(_between(laid, over_long, *visits(poses)))
+    groups.append(_in_frame(laid, over_long, poses))
     return _Motions(
         *(
             np.concatenate([getattr(group, field) for group in groups])
@@ -210,10 +213,10 @@ def visits(poses: F64) -> tuple[I64, I64]:
     return scans[near[:, 0]], scans[near[:, 1]]
 
 
-def _between(laid: LaidPaths, starts: I64, ends: I64) -> _Motions:
+def _between(laid: F64, weights: F64, starts: I64, ends: I64) -> _Motions:
     """Return the motions of each path between pairs of scans."""
-    told = compose_poses(invert_poses(laid.poses[:, starts]), laid.poses[:, ends])
-    trust = np.minimum(laid.weights[:, starts], laid.weights[:, ends])
+    told = compose_poses(invert_poses(laid[:, starts]), laid[:, ends])
+    trust = np.minimum(weights[:, starts], weights[:, ends])
     deviation = _spread(told)
     has = np.isfinite(told[..., 0])
     is_step = ends - starts == 1
@@ -254,16 +257,16 @@ def _spread(told: F64) -> F64:
     return np.asarray(np.maximum(spread, (LEAST_M, LEAST_RAD)))
 
 
-def _in_frame(laid: LaidPaths, poses: F64) -> _Motions:
+def _in_frame(laid: F64, weights: F64, poses: F64) -> _Motions:
     """Return the place of each path's scans in the common frame."""
-    count = len(laid)
-    has = np.isfinite(laid.poses[..., 0])
+    count = len(poses)
+    has = np.isfinite(laid[..., 0])
     stride = max(1, count // MOST_TIED)
     # A scan of a single path has no other tie.
-    tied = (np.arange(count) % stride == 0) | (has.sum(axis=0) < len(laid.names))
+    tied = (np.arange(count) % stride == 0) | (has.sum(axis=0) < len(laid))
     tied[[0, -1]] = True
     starts, motions, deviations, trust, ends = [], [], [], [], []
-    for path, own, weight in zip(laid.poses, has, laid.weights, strict=True):
+    for path, own, weight in zip(laid, has, weights, strict=True):
         scans = np.flatnonzero(own & tied)
         apart = np.hypot(*(path[own, :2] - poses[own, :2]).T)
         place_m = max(FROM_MEDIAN * float(np.median(apart)), LEAST_PLACE_M)

@@ -268,12 +268,12 @@ class WallMap:
     @classmethod
     def of(cls, scans: JudgedScans, path: Trajectory, covariance: F64) -> WallMap | None:
         """Draw the walls; None where no scan with a pose sees a surface."""
-        given = cover_stamps(path, scans)
-        kept = np.flatnonzero(given.is_own)
+        given, is_own = cover_stamps(path, scans)
+        kept = np.flatnonzero(is_own)
         hits = SurfaceHits.of(scans, kept)
         if not len(hits.scans):
             return None
-        poses = given.poses[kept]
+        poses = given[kept]
         lattices = [Patches.at(hits, poses, number, by_kind=False) for number in range(MOVES)]
         far_m = np.concatenate([np.abs(own.away_m[own.weights > 0.0]) for own in lattices])
         usual_m = float(np.median(far_m)) if len(far_m) else 0.0

@@ -1,4 +1,4 @@
-"""``LaidPaths``: paths of one drive at common stamps and in one frame, each with its weight.
+"""``lay_paths``: paths of one drive at common stamps and in one frame, each with its weight.
 
 A path that broke away near its end must not turn the others, nor its own right part: frames are
 fitted robustly, and the weights of poses fall with their residuals.
@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -26,34 +26,21 @@ LEAST_SCALE_M = 0.03
 MOST_FITS, SETTLED = 30, 1e-6
 
 
-@dataclass(frozen=True, eq=False)
-class LaidPaths:
-    """Paths of one drive at common stamps and in one frame.
-
-    Attributes:
-        names: of the K paths, in the order given.
-        stamps_s: (N,) float64, times of the scans, seconds, never decreasing.
-        poses: (K, N, 3) float64, metres and radians; NaN where a path has none.
-        weights: (K, N) float64, 0 to 1; 0 where there is no pose.
-    """
-
-    names: tuple[str, ...]
-    stamps_s: F64
-    poses: F64
-    weights: F64
-
-    def __len__(self) -> int:
-        return len(self.stamps_s)
-
-
 def lay_paths(
     paths: Mapping[str, Trajectory], weights: Mapping[str, float] | None = None
-) -> LaidPaths:
+) -> tuple[F64, F64, F64]:
     """Move paths of one drive into the frame of the path that is closest to the others.
 
     Args:
-        paths: by name, each in its own frame; the stamps are those of the path with most poses.
+        paths: K by name, each in its own frame.
         weights: 0 to 1, by name; default: 1.
+
+    Returns:
+        (N,) stamps, those of the path with most poses, seconds; (K, N, 3) poses, NaN where a path
+        has none; and (K, N) weights, 0 where it has none.
+
+    Raises:
+        TrajectoryError: no path, one without a pose or without common times, or a wrong weight.
     """
     if not paths:
         raise TrajectoryError("there is no path to fuse; give at least one")
@@ -75,7 +62,7 @@ def lay_paths(
             )
         poses[row, meets] = path.poses[near[meets]]
         trusted[row, meets] = weight
-    return LaidPaths(tuple(paths), stamps_s, _in_one_frame(poses, trusted), trusted)
+    return stamps_s, _in_one_frame(poses, trusted), trusted
 
 
 def pose_distances(a: F64, b: F64) -> F64:
@@ -173,9 +160,9 @@ LEAST_BELIEF = 1e-6
 ROUNDS = 10
 
 
-def consensus_poses(laid: LaidPaths) -> F64:
-    """Return (N, 3) the pose at each scan with most of the weight nearby."""
-    return find_modes(laid.poses, laid.weights, LEAST_SCALE_M, MOST_SCALE_M)
+def consensus_poses(poses: F64, weights: F64) -> F64:
+    """Return (N, 3) the pose at each scan with most of the weight nearby; see ``lay_paths``."""
+    return find_modes(poses, weights, LEAST_SCALE_M, MOST_SCALE_M)
 
 
 def find_modes(poses: F64, weights: F64, least_m: float, most_m: float) -> F64:

@@ -27,7 +27,7 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.compute.arrays import DeviceArray
 from slamfusion.compute.layout import BEAM_ONE, FACINGS, TILE
 from slamfusion.errors import TrajectoryError
-from slamfusion.evidence.beams import CHUNKS, CoveredPath, JudgedScans, cover_stamps, no_common_time
+from slamfusion.evidence.beams import CHUNKS, JudgedScans, cover_stamps, no_common_time
 from slamfusion.geometry import F64, compose_poses, invert_poses, transform_points
 from slamfusion.trajectory import Trajectory
 
@@ -126,14 +126,16 @@ class PathScore:
     """Evidence of the scans for one path.
 
     Attributes:
+        poses: (N, 3) float64, of the path at each scan; NaN where it has none.
+        is_own: (N,) bool, where the path itself has a pose for the scan.
         sums: (N,) float64, sum of the log-likelihoods of each scan's judged hits; 0 where the scan
             was not judged.
         beams: (N,) int64, judged hits of each scan, the same for all paths.
         seen: (N,) int64, of these, hits in places that other chunks have seen.
     """
 
-    name: str
-    path: CoveredPath
+    poses: F64
+    is_own: B8
     sums: F64
     beams: I64
     seen: I64
@@ -142,6 +144,16 @@ class PathScore:
     def consistency(self) -> float:
         """Mean log-likelihood of a judged hit; larger is better, at most 0."""
         return float(self.sums.sum() / self.beams.sum())
+
+    @property
+    def own_share(self) -> float:
+        """Share of the scans for which the path itself has a pose."""
+        return float(self.is_own.mean())
+
+    @property
+    def covered_share(self) -> float:
+        """Share of the scans for which there is a pose, its own or by odometry."""
+        return float(np.isfinite(self.poses[:, 0]).mean())
 
     @property
     def beams_judged(self) -> int:
@@ -246,46 +258,48 @@ def with_path(
     """
     scans, is_judged = evidence.scans, evidence.is_judged
     own = _covered(name, path, scans)
-    if own.is_covered[is_judged].all():
+    if np.isfinite(own[0][is_judged, 0]).all():
         score = _score(name, own, scans, is_judged, device)
         return PathEvidence(scans, is_judged, {**evidence.scores, name: score})
-    covered = {known: score.path for known, score in evidence.scores.items()}
+    covered = {known: (score.poses, score.is_own) for known, score in evidence.scores.items()}
     return _score_covered({**covered, name: own}, scans, device)
 
 
-def _covered(name: str, path: Trajectory, scans: JudgedScans) -> CoveredPath:
+def _covered(name: str, path: Trajectory, scans: JudgedScans) -> tuple[F64, B8]:
     """Return a path's pose at each scan; refuse one that has none."""
     if not len(path):
         raise TrajectoryError(f"{name}: the path has no pose; give one with poses")
-    covered = cover_stamps(path, scans)
-    if not covered.is_covered.any():
+    poses, is_own = cover_stamps(path, scans)
+    if not np.isfinite(poses[:, 0]).any():
         raise no_common_time(name, path, scans.stamps_s)
-    return covered
+    return poses, is_own
 
 
 def _score_covered(
-    covered: Mapping[str, CoveredPath], scans: JudgedScans, device: ComputeDevice
+    covered: Mapping[str, tuple[F64, B8]], scans: JudgedScans, device: ComputeDevice
 ) -> PathEvidence:
     """Score paths on the hits of the scans that each has a pose for."""
-    is_judged = np.logical_and.reduce([path.is_covered for path in covered.values()])
+    known = {name: np.isfinite(poses[:, 0]) for name, (poses, _) in covered.items()}
+    is_judged = np.logical_and.reduce(list(known.values()))
     if not is_judged[scans.hit_scans].any():
-        shares = ", ".join(f"{name} {path.covered_share:.0%}" for name, path in covered.items())
+        shares = ", ".join(f"{name} {own.mean():.0%}" for name, own in known.items())
         message = f"no scan has a pose in every path (each alone: {shares}); leave one out"
         raise TrajectoryError(message)
-    scores = {name: _score(name, path, scans, is_judged, device) for name, path in covered.items()}
+    scores = {name: _score(name, own, scans, is_judged, device) for name, own in covered.items()}
     return PathEvidence(scans, is_judged, scores)
 
 
 def _score(
-    name: str, path: CoveredPath, scans: JudgedScans, is_judged: B8, device: ComputeDevice
+    name: str, covered: tuple[F64, B8], scans: JudgedScans, is_judged: B8, device: ComputeDevice
 ) -> PathScore:
     """Draw the map of a path and look up every judged hit in what the other chunks drew."""
-    drawn = DrawnChunks.of(name, path, scans, is_judged, device)
+    poses, is_own = covered
+    drawn = DrawnChunks.of(name, poses, scans, is_judged, device)
     likelihoods, is_seen = drawn.look_up()
     count = len(scans)
     return PathScore(
-        name=name,
-        path=path,
+        poses=poses,
+        is_own=is_own,
         sums=np.bincount(drawn.hit_scans, likelihoods, count).astype(np.float64),
         beams=np.bincount(drawn.hit_scans, minlength=count).astype(np.int64),
         seen=np.bincount(drawn.hit_scans[is_seen], minlength=count).astype(np.int64),
@@ -316,16 +330,16 @@ class DrawnChunks:
     def of(
         cls,
         name: str,
-        path: CoveredPath,
+        poses: F64,
         scans: JudgedScans,
         is_judged: B8,
         device: ComputeDevice,
         reach_cells: int = REACH_CELLS,
     ) -> DrawnChunks:
-        """Draw the judged hits of a drive at the poses of a path."""
+        """Draw the judged hits of a drive at the poses (N, 3) of a path at its scans."""
         kept = is_judged[scans.hit_scans]
         hit_scans = scans.hit_scans[kept]
-        beams, facings, pages = _placed_beams(name, path.poses, scans, is_judged, kept, reach_cells)
+        beams, facings, pages = _placed_beams(name, poses, scans, is_judged, kept, reach_cells)
         chunks = scans.chunks[hit_scans]
         table = device.upload(pages)
         tiles = int(pages.max()) + 1

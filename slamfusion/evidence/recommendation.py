@@ -223,7 +223,7 @@ def choose_path(
 
 def distance_m(evidence: PathEvidence, name: str, other: str) -> float:
     """Return the root mean square distance between two aligned paths, metres."""
-    poses, still = (evidence.scores[one].path.poses[evidence.is_judged] for one in (name, other))
+    poses, still = (evidence.scores[one].poses[evidence.is_judged] for one in (name, other))
     aligned = moved_poses(fit_motion(poses, still), poses)
     return float(np.sqrt(np.mean(np.sum((aligned[:, :2] - still[:, :2]) ** 2, axis=1))))
 
@@ -311,7 +311,7 @@ def _place(
     evidence: PathEvidence, path: str, frame: Trajectory | None, at_s: float
 ) -> tuple[float, float]:
     """Return where the robot was at a time, seconds since the first scan."""
-    stamps_s, poses = evidence.scans.stamps_s, evidence.scores[path].path.poses
+    stamps_s, poses = evidence.scans.stamps_s, evidence.scores[path].poses
     judged = np.flatnonzero(evidence.is_judged)
     if frame is not None:
         stamps, poses, judged = frame.stamps_s, frame.poses, np.arange(len(frame))
@@ -347,8 +347,8 @@ def _ranked(evidence: PathEvidence, name: str, best: str, from_fused_m: float | 
         scans_judged=int(evidence.is_judged.sum()),
         seen_share=score.seen_share,
         seen_consistency=score.seen_consistency if score.seen.any() else None,
-        own_poses_share=score.path.own_share,
-        covered_share=score.path.covered_share,
+        own_poses_share=score.own_share,
+        covered_share=score.covered_share,
         over_time=[
             PathTime(
                 float(time_s) - start_s,

@@ -30,7 +30,7 @@ start at the odometry is taken: the SLAMs use the odometry too, and distort it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias
 
 import numpy as np
@@ -56,14 +56,14 @@ def refine_path(scans: JudgedScans, path: Trajectory) -> Trajectory:
     Walls that ``path`` draws further apart than ``REACH_M`` stay so. Poses between scans move with
     the nearest scan. A path with fewer than two scans, or without surfaces, is returned unchanged.
     """
-    given = cover_stamps(path, scans)
-    kept = np.flatnonzero(given.is_own)
+    given, is_own = cover_stamps(path, scans)
+    kept = np.flatnonzero(is_own)
     if len(kept) < 2:
         return path
     hits = SurfaceHits.of(scans, kept)
     if not len(hits.scans):
         return path
-    before = given.poses[kept]
+    before = given[kept]
     motions = KnownMotions.of(before, None if scans.odometry is None else scans.odometry[kept])
     poses, calibration, moved = before, motions.calibration, np.zeros_like(before)
     for number in range(ROUNDS + LATTICES):
@@ -182,8 +182,8 @@ MOST_ROUNDS = 6
 
 
 @dataclass(frozen=True, eq=False)
-class RefinedPath:
-    """What laying all scans on each other has made of a path."""
+class Refinement:
+    """The decision whether the path along which all scans are aligned replaces the given one."""
 
     taken: bool
     """Whether the refined path was taken: it is not where the scans say that it is worse."""
@@ -197,18 +197,16 @@ class RefinedPath:
     """Interval of that, 95 %."""
     p_value: float
     """Two-sided, of no difference."""
-    given: Trajectory = field(repr=False)
-    """The path of before."""
-    path: Trajectory = field(repr=False)
-    """The refined path where it was taken, else the given one."""
-    evidence: PathEvidence = field(repr=False)
-    """What the scans say of the paths of before, and of ``path`` as the last one."""
 
 
 def refine_borne_out(
     evidence: PathEvidence, path: Trajectory, device: ComputeDevice
-) -> RefinedPath:
+) -> tuple[Trajectory, PathEvidence, Refinement]:
     """Refine a path unless the scans contradict the result; ``evidence`` has other paths.
+
+    Returns:
+        The refined path if it is taken, else the given one; the evidence with it as the last path;
+        and the decision.
 
     Raises:
         TrajectoryError: see ``score_paths``.
@@ -226,22 +224,13 @@ def refine_borne_out(
     found = both.compare(_REFINED, path.name)
     # A p-value of 0.05 would also reject paths that are closer to the truth.
     taken = found.difference >= 0.0 or found.p_value >= SURE
-    if taken:
-        scores = dict(both.scores)
-        scores[path.name] = replace(scores.pop(_REFINED), name=path.name)
-        both = replace(both, scores=scores)
     interval = (found.low, found.high)
-    return RefinedPath(
-        taken,
-        start,
-        found.verdict,
-        found.difference,
-        interval,
-        found.p_value,
-        path,
-        refined if taken else path,
-        both if taken else with_given,
-    )
+    decision = Refinement(taken, start, found.verdict, found.difference, interval, found.p_value)
+    if not taken:
+        return path, with_given, decision
+    scores = dict(both.scores)
+    scores[path.name] = scores.pop(_REFINED)
+    return refined, replace(both, scores=scores), decision
 
 
 def _from_odometry(
@@ -261,11 +250,11 @@ def _from_odometry(
 
 def _odometry_at(scans: JudgedScans, path: Trajectory) -> Trajectory | None:
     """Return the odometry of a drive as a path at the stamps of another one; None without."""
-    given = cover_stamps(path, scans)
-    kept = np.flatnonzero(given.is_own)
+    given, is_own = cover_stamps(path, scans)
+    kept = np.flatnonzero(is_own)
     if scans.odometry is None or len(kept) < 2:
         return None
-    before = given.poses[kept]
+    before = given[kept]
     poses = laid_onto(scans.odometry[kept], before)
     return carried_along(path, scans.stamps_s[kept], before, poses)
 

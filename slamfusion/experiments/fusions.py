@@ -178,13 +178,13 @@ def _fuse(
     fused = None
     if len(paths) >= LEAST_FUSED:
         try:
-            found = fuse_weighed_paths(paths, evidence, device)
+            found, with_fused = fuse_weighed_paths(paths, evidence, device)
         except SlamFusionError as error:
             notes[FUSED_PATH] = str(error)
         else:
             fused = found.trajectory
-            if found.refinement is not None:
-                choice = choose_path(found.refinement.evidence, paths, fused.name)[1]
+            if with_fused is not None:
+                choice = choose_path(with_fused, paths, fused.name)[1]
     return vote_every_way(grids, paths, config, device, notes), fused, choice
 
 

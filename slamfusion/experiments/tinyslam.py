@@ -212,7 +212,7 @@ def read_drive(files: LogFiles, config: RunConfig) -> Drive:
     if not scans:
         reasons = "; ".join(log.skips.sentences())
         raise LogError(f"{files.log}: no scan of it can be used: {reasons}")
-    held = Yardsticks.read(config, files.relations, files.odometry_file, files.truth)
+    held = Yardsticks.read(config, files.relations, files.odometry, files.truth)
     odometry = None if held.odometry is None else read_trajectory(path, config.log)
     return Drive(Path(strip_gz(path.name)).stem, scans, held, odometry)
 

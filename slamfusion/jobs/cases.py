@@ -118,7 +118,6 @@ def known_files(cases: Sequence[str], **given: Sequence[CaseFile]) -> dict[str, 
         kind: files_by_case(cases, own, f"--{kind.replace('_', '-')}")
         for kind, own in given.items()
     }
-    found["odometry_file"] = found.pop("odometry", {})
     return {
         case: LogFiles(**{kind: own.get(case) for kind, own in found.items()}) for case in cases
     }

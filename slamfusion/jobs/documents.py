@@ -6,11 +6,11 @@ import json
 import math
 from typing import Any
 
+from slamfusion.json_values import plain
+
 
 def record_bytes(document: Any) -> bytes:
     """Return a document as the indented UTF-8 text of a JSON file; NaN and infinity become null."""
-    from slamfusion.json_values import plain  # noqa: PLC0415  (NumPy loads slowly; --help needs none)
-
     return (json.dumps(plain(document), indent=2, allow_nan=False) + "\n").encode()
 
 

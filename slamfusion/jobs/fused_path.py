@@ -3,45 +3,34 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
-from pathlib import Path
+from dataclasses import dataclass, replace
 
 from slamfusion.align.records import FusionResult
 from slamfusion.compute import ComputeDevice
-from slamfusion.evaluation.measured import Measures
+from slamfusion.evaluation.measured import MeasuredPath
 from slamfusion.evidence.fused_path import fuse_paths, trust_in_paths
 from slamfusion.evidence.path_frames import moved_onto
 from slamfusion.evidence.predictive import PathEvidence
-from slamfusion.evidence.refined_path import RefinedPath, refine_borne_out
+from slamfusion.evidence.refined_path import Refinement, refine_borne_out
 from slamfusion.fusion.path_check import moved_path
 from slamfusion.jobs.outputs import FUSED
-from slamfusion.json_values import FLAT
 from slamfusion.slam.registry import loop_closers
 from slamfusion.trajectory import Trajectory
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class DrivePath:
-    """The fused path: one path made of those of several SLAMs, and its errors.
+class FusedPath(MeasuredPath):
+    """The fused path, a TUM trajectory: one path made of those of several SLAMs, and its errors.
 
-    Attributes:
-        trajectory: at the scans, in the frame of one of the producers' paths, or after
-            ``in_fused_frame`` in that of the fused map.
+    Of ``run`` it is in the frame of the fused map, of ``judge`` in that of one of the paths.
     """
 
-    trajectory: Trajectory = field(repr=False)
-    measures: Measures = field(default_factory=Measures, metadata=FLAT)
-    file: Path | None = None
-    """Its file, a TUM trajectory, of ``run`` in the frame of the fused map, of ``judge`` in that of
-    one of the paths."""
-    poses: int
-    """Its poses."""
     trust: Mapping[str, float]
     """Weight of each path in the fused path, from the scans, 0 to 1."""
-    refinement: RefinedPath | None = None
+    refinement: Refinement | None = None
     """The result of aligning all scans along it; null where the scans could not be asked."""
 
-    def in_fused_frame(self, paths: Mapping[str, Trajectory], fusion: FusionResult) -> DrivePath:
+    def in_fused_frame(self, paths: Mapping[str, Trajectory], fusion: FusionResult) -> FusedPath:
         """Return the path aligned with those of the producers that voted, in the fused frame."""
         placed = [
             paths[record.name]
@@ -55,8 +44,12 @@ class DrivePath:
 
 def fuse_weighed_paths(
     paths: Mapping[str, Trajectory], evidence: PathEvidence | None, device: ComputeDevice
-) -> DrivePath:
+) -> tuple[FusedPath, PathEvidence | None]:
     """Fuse paths, each weighed by its support by the scans, then align all scans along the result.
+
+    Returns:
+        The path at the scans, in the frame of one of the paths; and the evidence with it as the
+        last path.
 
     Raises:
         TrajectoryError: the paths have no times in common.
@@ -66,8 +59,7 @@ def fuse_weighed_paths(
     closers = loop_closers(paths)
     drifting = [name for name in paths if name not in closers]
     path = fuse_paths(paths, trust, sharing_fault=drifting, name=FUSED)
-    refined = None
+    refinement = None
     if evidence is not None:
-        refined = refine_borne_out(evidence, path, device)
-        path = refined.path
-    return DrivePath(trajectory=path, poses=len(path), trust=trust, refinement=refined)
+        path, evidence, refinement = refine_borne_out(evidence, path, device)
+    return FusedPath(trajectory=path, trust=trust, refinement=refinement), evidence

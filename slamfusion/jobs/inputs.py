@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Literal, TypeAlias
 from slamfusion.config import SMALLEST, FusionConfig, RunConfig, VoteConfig, VoteMode
 from slamfusion.errors import MapFileError
 from slamfusion.jobs.outputs import FUSED
+from slamfusion.json_values import printed_as
 
 if TYPE_CHECKING:
     from slamfusion.compute import ComputeDevice
@@ -44,7 +45,7 @@ class LogFiles:
     """The log; null where paths were measured without it."""
     relations: Path | None = None
     """The file of known relations."""
-    odometry_file: Path | None = None
+    odometry: Path | None = field(default=None, metadata=printed_as("odometry_file"))
     """The file of raw odometry."""
     scan_odometry: Path | None = field(default=None, kw_only=True)
     """The file that gave the scans their odometry."""
@@ -56,11 +57,7 @@ class LogFiles:
     def inputs(self, case: str) -> list[tuple[str, str, Path]]:
         """Return role, case and path of each file, for ``write_results_file``."""
         named = [(item.name, getattr(self, item.name)) for item in fields(LogFiles)]
-        return [
-            (name.removesuffix("_file").replace("_", " "), case, path)
-            for name, path in named
-            if path is not None
-        ]
+        return [(name.replace("_", " "), case, path) for name, path in named if path is not None]
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,14 @@ from pathlib import Path
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError, TrajectoryError
-from slamfusion.evaluation.measured import Measures, Row, Yardsticks, error_series, result_rows
+from slamfusion.evaluation.measured import (
+    MeasuredPath,
+    Measures,
+    Row,
+    Yardsticks,
+    error_series,
+    result_rows,
+)
 from slamfusion.evaluation.trajectory_error import on_clock
 from slamfusion.evidence.beams import judged_scans
 from slamfusion.evidence.predictive import PathEvidence, score_paths
@@ -19,11 +26,11 @@ from slamfusion.evidence.recommendation import RankedPath, Recommendation, recom
 from slamfusion.fusion.groups import LEAST_FUSED
 from slamfusion.io import open_log, read_trajectory, write_tum
 from slamfusion.jobs.cases import Placed
-from slamfusion.jobs.fused_path import DrivePath, fuse_weighed_paths
+from slamfusion.jobs.fused_path import FusedPath, fuse_weighed_paths
 from slamfusion.jobs.inputs import LogFiles, Warn, as_path, device_for, distinct_names
 from slamfusion.jobs.outputs import FUSED
 from slamfusion.jobs.records import Circumstances, Summaries
-from slamfusion.jobs.saved_maps import SavedPath, path_at_scans
+from slamfusion.jobs.saved_maps import path_at_scans
 from slamfusion.json_values import FLAT
 from slamfusion.slam.common.odometry_check import contradictions, laser_fault
 from slamfusion.trajectory import Trajectory
@@ -35,19 +42,14 @@ _LOG = logging.getLogger(__name__)
 class JudgedPaths:
     """The paths of a log, what its scans say of them, and their errors."""
 
-    trajectories: Mapping[str, Trajectory] = field(repr=False)
-    """The paths as they were given, by name."""
     evidence: PathEvidence = field(repr=False)
-    measures: Mapping[str, Measures] = field(repr=False)
-    """Errors of each path by name, the fused one among them, where there was something to measure
-    by."""
     recommendation: Recommendation
     """Which path to use, and what to check first."""
     path_evidence: Sequence[RankedPath]
     """What the scans say of each path, the recommended one first."""
-    paths: Sequence[SavedPath]
+    paths: Sequence[MeasuredPath]
     """The paths as they were given."""
-    fused_path: DrivePath | None
+    fused_path: FusedPath | None
     """The path fused of them, with ``--fused``."""
     ranking_by_truth: Sequence[str]
     """The paths by their ATE, the least first; empty without a truth."""
@@ -58,14 +60,20 @@ class JudgedPaths:
     files: LogFiles = field(metadata=FLAT)
     circumstances: Circumstances = field(repr=False)
 
+    @property
+    def measured(self) -> tuple[MeasuredPath, ...]:
+        """The paths as they were given, and the fused one, if there is one."""
+        return (*self.paths, *(() if self.fused_path is None else (self.fused_path,)))
+
     def rows(self, case: str, placed: Sequence[Placed]) -> list[Row]:
         """Return figures and single scores of each path as rows, the recommended path first."""
         by_name = {item.name: item for item in placed if item.case == case}
+        errors = {item.name: item.measures for item in self.measured}
         rows: list[Row] = []
         for path in self.recommendation.paths:
             score = self.evidence.scores[path.name]
             keys = by_name.get(path.name, Placed(case, path.name, Path())).keys
-            measures = self.measures.get(path.name, Measures())
+            measures = errors[path.name]
             figures = {"consistency": score.consistency, "seen_share": score.seen_share}
             is_judged = score.beams > 0
             likelihoods = error_series(
@@ -104,10 +112,10 @@ class JudgementsDocument:
     circumstances: Circumstances = field(metadata=FLAT)
 
 
-def errors_m(measures: Mapping[str, Measures]) -> dict[str, dict[str, float]]:
+def errors_m(paths: Sequence[MeasuredPath]) -> dict[str, dict[str, float]]:
     """Return ATE and mean error on the relations of measured paths, metres, the least first."""
-    truths = {name: own.truth for name, own in measures.items()}
-    known = {name: own.relations for name, own in measures.items()}
+    truths = {own.name: own.measures.truth for own in paths}
+    known = {own.name: own.measures.relations for own in paths}
     found = {
         "ATE": {name: own.ate.rmse for name, own in truths.items() if own is not None},
         "relations": {name: own.translation.mean for name, own in known.items() if own is not None},
@@ -167,36 +175,37 @@ def judge_paths(
         warn(f"{log}: {sentence}")
     wheels = scans.odometry_path()
     offset = config.trajectory.time_offset
-    read = {name: on_clock(path, wheels, offset) for name, path in read.items()}
+    read = {name: replace(on_clock(path, wheels, offset), name=name) for name, path in read.items()}
     evidence = score_paths(scans, read, device)
-    made = None
+    fused_path, every = None, read
     if fused_file is not None:
-        made = _fuse(read, evidence, device)
-        if made.refinement is not None:
-            evidence = made.refinement.evidence
-    found = recommend(evidence, tuple(read), device, fused=None if made is None else FUSED)
-    every = read if made is None else {**read, FUSED: made.trajectory}
+        fused_path, with_fused = _fuse(read, evidence, device)
+        evidence, every = with_fused or evidence, {**read, FUSED: fused_path.trajectory}
+    found = recommend(evidence, tuple(read), device, fused=None if fused_path is None else FUSED)
     found = _with_sensor_faults(found, wheels, every.get(found.path or ""), warn)
-    measures, not_measured = {}, []
-    for name, path in every.items():
+    not_measured = []
+
+    def measured(path: Trajectory) -> Measures:
         try:
-            measures[name] = held.measure(path, config, wheels)
+            return held.measure(path, config, wheels)
         except SlamFusionError as error:
-            not_measured.append(f"{name}: {error}")
-    if made is not None:
-        made = replace(made, measures=measures.get(FUSED, Measures()), file=fused_file)
-    ranked = errors_m(measures)
+            not_measured.append(f"{path.name}: {error}")
+        return Measures()
+
+    paths_found = [
+        MeasuredPath(trajectory=path, measures=measured(path), file=given[name])
+        for name, path in read.items()
+    ]
+    if fused_path is not None:
+        own = measured(fused_path.trajectory)
+        fused_path = replace(fused_path, measures=own, file=fused_file)
+    ranked = errors_m([*paths_found, *([] if fused_path is None else [fused_path])])
     return JudgedPaths(
-        trajectories=read,
         evidence=evidence,
-        measures=measures,
         recommendation=found,
         path_evidence=found.paths,
-        paths=[
-            SavedPath.of(given[name], replace(path, name=name), measures.get(name, Measures()))
-            for name, path in read.items()
-        ],
-        fused_path=made,
+        paths=paths_found,
+        fused_path=fused_path,
         ranking_by_truth=tuple(ranked["ATE"]),
         ranking_by_relations=tuple(ranked["relations"]),
         not_measured=not_measured,
@@ -233,7 +242,7 @@ def write_judgement(found: JudgedPaths, directory: str | Path) -> Path:
         directory,
         log=str(found.files.log),
         config=found.circumstances.config,
-        errors_m=errors_m(found.measures),
+        errors_m=errors_m(found.measured),
         not_measured=found.not_measured,
         device=found.circumstances.device,
     )
@@ -264,7 +273,7 @@ def _check_fused(files: Mapping[str, Path]) -> None:
 
 def _fuse(
     paths: Mapping[str, Trajectory], evidence: PathEvidence, device: ComputeDevice
-) -> DrivePath:
+) -> tuple[FusedPath, PathEvidence | None]:
     """Make one path of several, each at the scans that it has a pose for or odometry gives one."""
     at_scans = {}
     for name, path in paths.items():

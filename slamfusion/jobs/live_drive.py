@@ -45,7 +45,7 @@ from slamfusion.fusion.live import Evidence
 from slamfusion.fusion.path_check import moved_path
 from slamfusion.geometry import F64, Pose2, fit_motion, moved_poses, row_of, with_levers
 from slamfusion.io import LogScan
-from slamfusion.jobs.fused_path import DrivePath, fuse_weighed_paths
+from slamfusion.jobs.fused_path import fuse_weighed_paths
 from slamfusion.jobs.outputs import DRAWN, FUSED
 from slamfusion.trajectory import SAME_STAMP_S, Trajectory, nearest_stamps
 from slamfusion.vote.lattice import Lattice
@@ -357,10 +357,10 @@ class LiveDrive:
             )
             if found is None:
                 return None
-            self._place(found.trajectory, paths, lattice, transforms or {}, is_whole=is_whole)
+            fused, evidence = found
+            self._place(fused, paths, lattice, transforms or {}, is_whole=is_whole)
             path = self._path
             assert path is not None  # noqa: S101  (just placed)
-            evidence = None if found.refinement is None else found.refinement.evidence
             if evidence is None or not is_whole:
                 evidence = score_paths(scans, {**paths, FUSED: path}, self._device)
         except SlamFusionError:
@@ -394,7 +394,7 @@ class LiveDrive:
 
     def _continued(
         self, kept: Sequence[_Kept], paths: Mapping[str, Trajectory]
-    ) -> DrivePath | None:
+    ) -> tuple[Trajectory, PathEvidence | None] | None:
         """Solve the last seconds, and what was not solved yet, by the inputs that are right."""
         assert self._path is not None  # noqa: S101  (there is what is continued)
         stamps_s = [one.hits.stamp_s for one in kept[-LEAST_SCANS:]]
@@ -420,12 +420,12 @@ class LiveDrive:
             if np.mean(np.abs(near_s - during) <= SAME_STAMP_S) < OF_SCANS:
                 continue
             own_path = Trajectory(stamps_s, own[:, 1:], name)
-            covered = cover_stamps(own_path, judged)
-            here = covered.is_covered
-            if covered.is_own.all():
+            at_scans, is_own = cover_stamps(own_path, judged)
+            here = np.isfinite(at_scans[:, 0])
+            if is_own.all():
                 paths[name] = own_path  # with its poses at scans that hit nothing
             elif np.count_nonzero(here) >= CHUNKS:
-                paths[name] = Trajectory(judged.stamps_s[here], covered.poses[here], name)
+                paths[name] = Trajectory(judged.stamps_s[here], at_scans[here], name)
         return paths
 
     def _place(
@@ -467,10 +467,11 @@ class LiveDrive:
 
 def _solved(
     judged: JudgedScans, paths: Mapping[str, Trajectory], device: ComputeDevice
-) -> DrivePath:
+) -> tuple[Trajectory, PathEvidence | None]:
     """Score paths on scans and make one of them, as ``run`` does."""
     evidence = score_paths(judged, paths, device)
-    return fuse_weighed_paths(paths, evidence, device)
+    fused, with_fused = fuse_weighed_paths(paths, evidence, device)
+    return fused.trajectory, with_fused
 
 
 def _contradicted(evidence: PathEvidence) -> list[str]:
@@ -501,7 +502,7 @@ def _bent_at(evidence: PathEvidence, name: str) -> npt.NDArray[np.bool_]:
     that turns away slowly would part late.
     """
     judged = evidence.is_judged
-    moving, still = (evidence.scores[one].path.poses[judged] for one in (name, FUSED))
+    moving, still = (evidence.scores[one].poses[judged] for one in (name, FUSED))
     stamps_s = evidence.scans.stamps_s[judged]
     bent = np.zeros(len(still), dtype=np.bool_)
     for part in np.array_split(np.arange(len(still)), PARTS):

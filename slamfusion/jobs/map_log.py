@@ -12,7 +12,7 @@ from typing import Any
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
 from slamfusion.errors import MapFileError, SlamFusionError
-from slamfusion.evaluation.measured import Measures, Yardsticks
+from slamfusion.evaluation.measured import MeasuredPath, Measures, Yardsticks
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import AtomicFiles, open_log, save_map, write_atomic, write_tum
 from slamfusion.jobs.documents import number, record_bytes
@@ -45,6 +45,12 @@ class ProducerResult:
     def name(self) -> str:
         """The producer."""
         return self.run.name
+
+    @property
+    def path(self) -> MeasuredPath:
+        """The pose at each scan, in the frame of the map, and its errors."""
+        named = replace(self.run.trajectory, name=self.name)
+        return MeasuredPath(trajectory=named, measures=self.measures)
 
     def figures(self) -> list[tuple[str, str]]:
         """Return the run's numbers with their names."""
@@ -318,6 +324,6 @@ def _write_report(mapped: MappedLog, directory: Path) -> None:
         figures=result.figures(),
         remarks=run_remarks(run),
         truth=mapped.true_path,
-        relations=result.measures.relations,
+        measures=result.measures,
         device=result.device,
     )

@@ -18,7 +18,7 @@ from slamfusion.align.starts import Starts, place_starts
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
 from slamfusion.errors import AlignmentError, SlamFusionError, TrajectoryError
-from slamfusion.evaluation.measured import Measures, Yardsticks
+from slamfusion.evaluation.measured import MeasuredPath, Measures, Yardsticks
 from slamfusion.evaluation.trajectory_error import on_clock
 from slamfusion.evidence.beams import JudgedScans, judged_scans
 from slamfusion.evidence.drawn_map import DrawnScan, draw_map, drawn_scans, fuse_with_drawn
@@ -31,7 +31,7 @@ from slamfusion.jobs.cases import CaseFile
 from slamfusion.jobs.evaluate import evaluate_maps
 from slamfusion.jobs.fuse import AllRequiredError
 from slamfusion.jobs.fuse_documents import DoubledWalls
-from slamfusion.jobs.fused_path import DrivePath, fuse_weighed_paths
+from slamfusion.jobs.fused_path import FusedPath, fuse_weighed_paths
 from slamfusion.jobs.inputs import (
     RUN_DEFAULTS,
     RUN_VOTE,
@@ -53,7 +53,7 @@ from slamfusion.jobs.run_files import (
     RunFiles,
     RunProducer,
 )
-from slamfusion.jobs.saved_maps import SavedMaps, SavedPath, path_at_scans
+from slamfusion.jobs.saved_maps import SavedMaps, path_at_scans
 from slamfusion.slam.common.odometry_check import laser_fault
 from slamfusion.slam.registry import BUILT_IN, loop_closers, producer
 from slamfusion.slam.side_by_side import Outcome, SideBySide
@@ -162,11 +162,11 @@ def run_log(  # noqa: PLR0915 - one page, a heading a stage
         )
 
     # Make one path of all.
-    fused_path: DrivePath | None = None
+    fused_path: FusedPath | None = None
     with stages.timed("path"):
         if len(paths) >= LEAST_FUSED:
             with stages.noting("the fused path: "):
-                fused_path = fuse_weighed_paths(paths, evidence, device)
+                fused_path, with_fused = fuse_weighed_paths(paths, evidence, device)
 
     # Vote.
     with stages.timed("fusion"):
@@ -192,8 +192,8 @@ def run_log(  # noqa: PLR0915 - one page, a heading a stage
             )
             fused_path = replace(fused_path, measures=own)
     with stages.timed("evidence"):
-        if fused_path is not None and fused_path.refinement is not None:
-            evidence = fused_path.refinement.evidence
+        if fused_path is not None:
+            evidence = with_fused
         is_fused = fusion.result is not None and failure is None
         answer = _recommend(paths, evidence, fused_path, fusion, wheels, device, is_fused=is_fused)
     if answer is not None and failure is not None and failure is fusion.failure:
@@ -228,8 +228,10 @@ def run_log(  # noqa: PLR0915 - one page, a heading a stage
             for name, run in runs.items()
         }
         found_paths = [
-            SavedPath.of(
-                saved.paths[name], path, stages.measured(name, held.measure, path, config, wheels)
+            MeasuredPath(
+                trajectory=path,
+                measures=stages.measured(name, held.measure, path, config, wheels),
+                file=saved.paths[name],
             )
             for name, path in their_paths.items()
         ]
@@ -419,7 +421,7 @@ def _why_not_fused(
 def _recommend(
     paths: Mapping[str, Trajectory],
     evidence: PathEvidence | None,
-    fused_path: DrivePath | None,
+    fused_path: FusedPath | None,
     fusion: DriveFusion,
     wheels: Trajectory | None,
     device: ComputeDevice,
@@ -451,7 +453,7 @@ def voting_config(config: RunConfig) -> RunConfig:
 
 def draw_run(
     scans: Callable[[], Sequence[DrawnScan]],
-    path: DrivePath | None,
+    path: FusedPath | None,
     fusion: DriveFusion,
     saved: Collection[str],
     config: RunConfig,

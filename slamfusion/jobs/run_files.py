@@ -12,7 +12,7 @@ from slamfusion.align.records import Alignment, FusionResult
 from slamfusion.config import FusionMode, RunConfig
 from slamfusion.errors import SlamFusionError
 from slamfusion.evaluation.doubled_walls import doubled_wall_share
-from slamfusion.evaluation.measured import Measures
+from slamfusion.evaluation.measured import MeasuredPath
 from slamfusion.evaluation.wall_faces import WallThickness, wall_thickness
 from slamfusion.evidence.predictive import PathEvidence
 from slamfusion.evidence.recommendation import RankedPath, Recommendation
@@ -21,7 +21,7 @@ from slamfusion.grid import OccupancyGrid
 from slamfusion.io import AtomicFiles, save_map, write_tum
 from slamfusion.jobs.documents import number, record_bytes
 from slamfusion.jobs.fuse_documents import DoubledWalls, FusionRecord, left_out_sentences
-from slamfusion.jobs.fused_path import DrivePath
+from slamfusion.jobs.fused_path import FusedPath
 from slamfusion.jobs.inputs import LogFiles
 from slamfusion.jobs.map_log import ProducerResult, write_producer
 from slamfusion.jobs.outputs import (
@@ -39,7 +39,6 @@ from slamfusion.jobs.outputs import (
     report_files,
 )
 from slamfusion.jobs.records import Circumstances, Evaluation
-from slamfusion.jobs.saved_maps import SavedPath
 from slamfusion.json_values import FLAT
 from slamfusion.trajectory import Trajectory
 
@@ -205,11 +204,11 @@ class LogRun:
     asked."""
     no_verdict: str | None
     """Why the scans could not be asked; null where they were."""
-    fused_path: DrivePath | None
+    fused_path: FusedPath | None
     """The fused path; null where nothing was fused, or fewer than two producers have a path."""
     drawn_map: DrawnMap | None
     """The map drawn at the fused path; null where it was not asked for, or there is no path."""
-    saved_paths: Sequence[SavedPath]
+    saved_paths: Sequence[MeasuredPath]
     """The paths that were given with saved maps, and their errors."""
     evaluations: Sequence[Evaluation]
     """Errors of the inputs and of the fused map, with --truth."""
@@ -242,10 +241,10 @@ class LogRun:
         return tuple(item for item in self.producers if isinstance(item, FailedProducer))
 
     @property
-    def paths(self) -> dict[str, tuple[Trajectory, Measures]]:
+    def paths(self) -> dict[str, MeasuredPath]:
         """The paths of the producers and of saved maps, by name, with their errors."""
-        made = {name: (item.run.trajectory, item.measures) for name, item in self.results.items()}
-        return made | {item.path.name: (item.path, item.measures) for item in self.saved_paths}
+        made = {name: item.path for name, item in self.results.items()}
+        return made | {item.name: item for item in self.saved_paths}
 
     @property
     def grids(self) -> tuple[OccupancyGrid, ...]:

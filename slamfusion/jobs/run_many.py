@@ -83,7 +83,7 @@ class RunsDocument:
 def run_rows(run: LogRun, case: str, seed: str = "") -> list[Row]:
     """Return the errors of the maps and paths of a run as rows of a table of results."""
     maps = {item.name: map_figures(item) for item in run.evaluations}
-    paths = {name: own for name, (_, own) in run.paths.items()}
+    paths = {name: own.measures for name, own in run.paths.items()}
     if run.fused_path is not None:
         paths[FUSED] = run.fused_path.measures
     rows = []

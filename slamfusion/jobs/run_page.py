@@ -3,22 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
+from slamfusion.evaluation.measured import MeasuredPath
 from slamfusion.fusion.path_check import moved_path
 from slamfusion.geometry import Pose2
 from slamfusion.jobs.run_files import LogRun
 from slamfusion.palette import NAMED, Rgb
 from slamfusion.report import paths
 from slamfusion.report.canvas import MARKS
-from slamfusion.report.errors import (
-    MeasuredPath,
-    broken,
-    drawable,
-    error_facts,
-    errors_section,
-    series_picture,
-)
+from slamfusion.report.errors import broken, drawable, error_facts, errors_section, series_picture
 from slamfusion.report.fusion_report import (
     alignment_section,
     doubtful_lines,
@@ -65,10 +60,10 @@ def run_page(run: LogRun) -> Page:
     # Each input and path has one colour on all of the page.
     colours = input_colours([*(grid.name for grid in run.grids), *run.paths])
     colours[FUSED_PATH] = NAMED["fused"]
-    found = run.paths
-    if run.fused_path is not None:
-        found[FUSED_PATH] = (run.fused_path.trajectory, run.fused_path.measures)
-    measured = [MeasuredPath(name, path, own) for name, (path, own) in found.items()]
+    measured = list(run.paths.values())
+    if (fused := run.fused_path) is not None:
+        named = replace(fused.trajectory, name=FUSED_PATH)
+        measured.append(MeasuredPath(trajectory=named, measures=fused.measures))
     sections = [_maps_section(run, colours)]
     if run.results:
         sections += [*_drive_section(run, colours), _paths_section(run, colours)]
@@ -151,7 +146,7 @@ def _maps_section(run: LogRun, colours: Mapping[str, Rgb]) -> Section:
         pictures = [input_picture(grid, config.fusion.normalize) for grid in run.grids]
         return Section("Maps", "Each map in its own frame.", pictures)
     voted = {record.name for record in result.accepted}
-    shown = {name: path for name, (path, _) in run.paths.items() if name in voted}
+    shown = {name: own.trajectory for name, own in run.paths.items() if name in voted}
     if run.fused_path is not None:
         shown[FUSED_VERDICT] = run.fused_path.trajectory
     places = [] if answer is None else [(place.x, place.y) for place in answer.check]
@@ -252,8 +247,8 @@ def _together(run: LogRun, placed: Mapping[str, Pose2], colours: Mapping[str, Rg
     """Return the paths whose maps were fused, with truth and odometry, in the fused map."""
     result = run.fusion.result
     shown = {
-        name: moved_path(path, placed[name])
-        for name, (path, _) in run.paths.items()
+        name: moved_path(own.trajectory, placed[name])
+        for name, own in run.paths.items()
         if name in placed
     }
     # The first lies on top; the lower ones are wider, so that each is seen where all are one line.

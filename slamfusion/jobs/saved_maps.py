@@ -3,49 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
+
+import numpy as np
 
 from slamfusion.config import RunConfig
 from slamfusion.errors import ConfigError, TrajectoryError
-from slamfusion.evaluation.measured import Measures
 from slamfusion.evidence.beams import JudgedScans, cover_stamps
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import read_trajectory
 from slamfusion.jobs.cases import CaseFile, files_by_case
 from slamfusion.jobs.inputs import Warn, distinct_names, load_maps
 from slamfusion.jobs.outputs import DRAWN, FUSED
-from slamfusion.json_values import FLAT
 from slamfusion.slam.registry import producer_names
 from slamfusion.trajectory import Trajectory
 
 # All paths of a drive are scored on the scans that each has a pose for; that of a saved map must
 # leave at least this share of them.
 LEAST_COVERED = 0.5
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class SavedPath:
-    """A path that was given, with the errors that could be measured."""
-
-    path: Trajectory = field(repr=False)
-    measures: Measures = field(metadata=FLAT)
-    name: str
-    """The path: its file's name without the ending."""
-    file: Path
-    """Its file."""
-    poses: int
-    """Its poses."""
-    path_length_m: float
-    """Its length, metres."""
-
-    @classmethod
-    def of(cls, file: Path, path: Trajectory, measures: Measures) -> SavedPath:
-        """Describe a path."""
-        return cls(
-            path=path, measures=measures, name=path.name, file=file,
-            poses=len(path), path_length_m=path.path_length_m(),
-        )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -92,11 +68,11 @@ def free_name(name: str, taken: Collection[str] = ()) -> str:
 
 def path_at_scans(path: Trajectory, scans: JudgedScans) -> Trajectory:
     """Return a path's poses at the drive's scans; ``TrajectoryError`` if too few have one."""
-    covered = cover_stamps(path, scans)
-    if covered.covered_share < LEAST_COVERED:
+    poses, _ = cover_stamps(path, scans)
+    own = np.isfinite(poses[:, 0])
+    if own.mean() < LEAST_COVERED:
         raise TrajectoryError(
-            f"it has poses for {covered.covered_share:.0%} of the scans, wanted "
+            f"it has poses for {own.mean():.0%} of the scans, wanted "
             f"{LEAST_COVERED:.0%}: all paths are judged where each has one; give a longer path"
         )
-    own = covered.is_covered
-    return Trajectory(scans.stamps_s[own], covered.poses[own], path.name)
+    return Trajectory(scans.stamps_s[own], poses[own], path.name)

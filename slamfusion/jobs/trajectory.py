@@ -8,36 +8,27 @@ from pathlib import Path
 
 from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
-from slamfusion.evaluation.measured import Measures, Row, Yardsticks, result_rows
+from slamfusion.evaluation.measured import MeasuredPath, Row, Yardsticks, result_rows
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import read_trajectory
 from slamfusion.jobs.cases import Placed
 from slamfusion.jobs.inputs import LogFiles
 from slamfusion.jobs.records import Settings, Summaries
-from slamfusion.json_values import FLAT
-from slamfusion.trajectory import Trajectory
+from slamfusion.json_values import FLAT, printed_as
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class MeasuredTrajectory:
+class MeasuredTrajectory(MeasuredPath):
     """A trajectory with its errors, and the files that they rest on."""
 
-    trajectory: Trajectory = field(repr=False)
+    file: Path = field(metadata=printed_as("estimate"))
+    """Its file."""
     held: Yardsticks = field(repr=False)
     """What it was measured by."""
     grid: OccupancyGrid | None = field(default=None, repr=False)
     """A map in its frame, to be drawn under it."""
-    name: str
-    """The trajectory."""
-    path_length_m: float
-    """Its length, metres."""
     duration_s: float
     """From its first pose to its last, seconds."""
-    measures: Measures = field(metadata=FLAT)
-    poses: int
-    """Its poses."""
-    estimate: Path
-    """Its file."""
     files: LogFiles = field(metadata=FLAT)
     placed: Placed = field(metadata=FLAT)
 
@@ -83,7 +74,7 @@ def measure_trajectories(
     yardsticks = {}
     for case in dict.fromkeys(item.case for item in placed):
         files = known[case]
-        held = Yardsticks.read(config, files.relations, files.odometry_file, files.truth)
+        held = Yardsticks.read(config, files.relations, files.odometry, files.truth)
         scans = None if files.log is None else read_trajectory(files.log, config.log)
         yardsticks[case] = replace(held, scans=scans)
     found, not_measured = [], []
@@ -108,12 +99,9 @@ def measure_trajectories(
                 placed=item,
                 trajectory=estimate,
                 held=held,
-                name=estimate.name,
-                path_length_m=estimate.path_length_m(),
                 duration_s=float(estimate.stamps_s[-1] - estimate.stamps_s[0]),
                 measures=measures,
-                poses=len(estimate),
-                estimate=item.path,
+                file=item.path,
                 files=known[item.case],
             )
         )
@@ -137,12 +125,12 @@ def write_trajectories(
     found: Sequence[MeasuredTrajectory], directory: str | Path, config: RunConfig | None = None
 ) -> Path:
     """Write one report of the errors of paths; see ``slamfusion.report.page.write_page``."""
-    from slamfusion.report import MeasuredPath, write_trajectory_report  # noqa: PLC0415  (an extra)
+    from slamfusion.report import write_trajectory_report  # noqa: PLC0415  (an extra)
 
     cases: dict[str, list[MeasuredPath]] = {}
     for own in found:
-        path = MeasuredPath(own.placed.name, own.trajectory, own.measures)
-        cases.setdefault(own.placed.case, []).append(path)
+        named = replace(own, trajectory=replace(own.trajectory, name=own.placed.name))
+        cases.setdefault(own.placed.case, []).append(named)
     first = found[0]
     return write_trajectory_report(
         directory,

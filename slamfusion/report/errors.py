@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes  # noqa: TID251
 from matplotlib.figure import Figure  # noqa: TID251
 
-from slamfusion.evaluation.measured import FIGURES, PathErrors
+from slamfusion.evaluation.measured import FIGURES, MeasuredPath
 from slamfusion.evaluation.relations import REVISIT_S, RelationErrors
 from slamfusion.evaluation.statistics import ErrorStatistics
 from slamfusion.evaluation.trajectory_error import TrajectoryErrors
@@ -19,7 +18,6 @@ from slamfusion.palette import INK_RGB, Rgb
 from slamfusion.report.canvas import INK, label_axes, plain_text, stacked_axes, unit_rgb, write_note
 from slamfusion.report.page import Fact, Picture, Section, tables
 from slamfusion.slam.common.mapper import Series
-from slamfusion.trajectory import Trajectory
 
 # Distributions are drawn up to this share of the errors: the few beyond would hide the others.
 _BULK = 0.99
@@ -30,34 +28,15 @@ _FEW = 50
 _PAUSE, _PAUSE_S = 5.0, 2.0
 
 
-@dataclass(frozen=True, eq=False)
-class MeasuredPath:
-    """A path of at least one pose, and its errors."""
-
-    name: str
-    path: Trajectory
-    errors: PathErrors
-
-    @property
-    def truth(self) -> TrajectoryErrors | None:
-        """The errors against the truth; None where they were not measured."""
-        return self.errors.truth
-
-    @property
-    def relations(self) -> RelationErrors | None:
-        """The errors on known relations; None where they were not measured."""
-        return self.errors.relations
-
-
 def errors_section(
     measured: Sequence[MeasuredPath], colours: Mapping[str, Rgb], case: str = ""
 ) -> list[Section]:
     """Return the errors of paths of one drive; its name is empty where a page has no other."""
     rows, pictures = [], []
     for item in measured:
-        kinds = item.errors.kinds()
-        if item.relations is not None and (revisits := item.relations.is_revisit()).any():
-            own = ErrorStatistics.of(item.relations.translation_m[revisits])
+        kinds, relations = item.measures.kinds(), item.measures.relations
+        if relations is not None and (revisits := relations.is_revisit()).any():
+            own = ErrorStatistics.of(relations.translation_m[revisits])
             kinds.append(("revisits, translation m", own, 4))
         for kind, statistics, digits in kinds:
             values = [getattr(statistics, name, None) for name in FIGURES]
@@ -65,11 +44,12 @@ def errors_section(
     if not rows:
         return []
     of, stem = (f"{case}: ", f"{case}-") if case else ("", "")
-    truth = {item.name: item.truth for item in measured if item.truth is not None}
+    errors = {item.name: item.measures for item in measured}
+    truth = {name: own.truth for name, own in errors.items() if own.truth is not None}
     if truth:
         title = f"{of}Error against the truth"
         pictures += _error_pictures(f"{stem}error", title, "", truth, colours)
-    known = {item.name: item.relations for item in measured if item.relations is not None}
+    known = {name: own.relations for name, own in errors.items() if own.relations is not None}
     if known:
         title = f"{of}Error on known relations"
         caption = f"Large dots: revisits, where the two times are over {REVISIT_S:g} s apart."
@@ -110,14 +90,14 @@ def _error_pictures(
 
 def error_facts(item: MeasuredPath) -> list[Fact]:
     """Return the leading errors of a path as numbers of the headline."""
-    facts = []
-    if item.truth is not None:
-        facts.append(Fact(f"{item.truth.ate.rmse:.4f} m", f"ATE rmse, {item.name}"))
-        if item.truth.rpe is not None:
-            pair = f"{item.truth.rpe_delta:g} {item.truth.rpe_unit}"
-            facts.append(Fact(f"{item.truth.rpe.rmse:.4f} m", f"RPE rmse, {pair}, {item.name}"))
-    if item.relations is not None:
-        mean = item.relations.translation.mean
+    facts, truth, relations = [], item.measures.truth, item.measures.relations
+    if truth is not None:
+        facts.append(Fact(f"{truth.ate.rmse:.4f} m", f"ATE rmse, {item.name}"))
+        if truth.rpe is not None:
+            pair = f"{truth.rpe_delta:g} {truth.rpe_unit}"
+            facts.append(Fact(f"{truth.rpe.rmse:.4f} m", f"RPE rmse, {pair}, {item.name}"))
+    if relations is not None:
+        mean = relations.translation.mean
         facts.append(Fact(f"{mean:.4f} m", f"error of relations, mean, {item.name}"))
     return facts
 

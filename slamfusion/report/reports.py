@@ -11,9 +11,7 @@ from slamfusion.align.records import Alignment
 from slamfusion.config import PICTURE_FORMS, RunConfig
 from slamfusion.errors import MapFileError
 from slamfusion.evaluation.map_error import MapError
-from slamfusion.evaluation.measured import PathErrors
-from slamfusion.evaluation.relations import RelationErrors
-from slamfusion.evaluation.trajectory_error import trajectory_errors
+from slamfusion.evaluation.measured import MeasuredPath, Measures
 from slamfusion.evidence.predictive import PathEvidence
 from slamfusion.evidence.recommendation import Recommendation
 from slamfusion.fusion.path_check import moved_path
@@ -21,13 +19,7 @@ from slamfusion.grid import OccupancyGrid
 from slamfusion.io.files import write_atomic
 from slamfusion.palette import Rgb, colours_of
 from slamfusion.report.canvas import to_form
-from slamfusion.report.errors import (
-    MeasuredPath,
-    drawable,
-    error_facts,
-    errors_section,
-    series_picture,
-)
+from slamfusion.report.errors import drawable, error_facts, errors_section, series_picture
 from slamfusion.report.layers import error_layers, map_layers
 from slamfusion.report.maps import (
     difference_picture,
@@ -73,7 +65,7 @@ def write_slam_report(
     figures: Sequence[tuple[str, str]] = (),
     remarks: Sequence[tuple[str, str]] = (),
     truth: Trajectory | None = None,
-    relations: RelationErrors | None = None,
+    measures: Measures | None = None,
     device: str = "",
 ) -> Path:
     """Write the report of a producer's run; see ``write_page``.
@@ -84,23 +76,20 @@ def write_slam_report(
         facts: health and timing, for the headline.
         figures: of the run, with their names.
         remarks: of the log and its scans, with their source.
-        truth: the true path; its errors are computed as ``config.trajectory`` says.
-        relations: the trajectory's errors on known relations.
-
-    Raises:
-        TrajectoryError: the truth and the trajectory have no times in common.
+        truth: the true path; drawn where ``measures`` has the errors against it.
+        measures: the errors of the path.
     """
     normalize, warnings = config.fusion.normalize, run.warnings()
-    grid, trajectory, errors = run.grid, run.trajectory, None
-    if truth is not None:
-        errors = trajectory_errors(trajectory, truth, config.trajectory)
+    grid, trajectory = run.grid, run.trajectory
+    named = replace(trajectory, name=run.name)
+    measured = MeasuredPath(trajectory=named, measures=measures or Measures())
     pictures = [
         input_picture(grid, normalize),
         *path_pictures(
             trajectory,
             config=config,
             grid=grid,
-            errors=errors,
+            errors=measured.measures.truth,
             truth=truth,
             odometry=run.odometry,
             others=run.other_paths,
@@ -110,7 +99,6 @@ def write_slam_report(
         pictures.append(closures_picture(trajectory, run.closures, grid=grid, normalize=normalize))
     statistics, layers = map_statistics([grid], normalize), map_layers(grid, trajectory)
     sections = [Section("Map and path", "", pictures, statistics, layers=layers)]
-    measured = MeasuredPath(run.name, trajectory, PathErrors(errors, relations))
     sections += errors_section([measured], colours_of([run.name]))
     over_time = _series_pictures(run)
     health = NO_TABLES
@@ -167,10 +155,10 @@ def write_trajectory_report(
         if len(measured) == 1:
             (item,) = measured
             pictures = path_pictures(
-                item.path,
+                item.trajectory,
                 config=config,
                 grid=grid,
-                errors=item.truth,
+                errors=item.measures.truth,
                 truth=truth,
                 odometry=odometry,
             )
@@ -182,7 +170,7 @@ def write_trajectory_report(
         by_path += [error_facts(item) for item in measured]
         words: dict[str, list[str]] = {}
         for item in measured:
-            counted = item.errors.how_counted()
+            counted = item.measures.how_counted()
             words.setdefault("; ".join(counted) + ".", []).append(item.name)
         lines += [(f"{case}, {', '.join(names)}:", text) for text, names in words.items()]
     # The leading error of each path comes first.
@@ -190,8 +178,8 @@ def write_trajectory_report(
     measured = [item for own in cases.values() for item in own]
     if len(measured) == 1:
         facts += [
-            Fact(f"{len(measured[0].path)}", "poses"),
-            Fact(f"{measured[0].path.path_length_m():.1f} m", "travelled by the estimate"),
+            Fact(f"{measured[0].poses}", "poses"),
+            Fact(f"{measured[0].path_length_m:.1f} m", "travelled by the estimate"),
         ]
     banner = Banner("plain", _headline(cases), lines)
     page = Page("SLAMfusion trajectory", banner, facts, sections, config, "none needed")
@@ -207,9 +195,9 @@ def _paths_over_truth(
     """Draw all paths of a case, each aligned with the truth as its errors are."""
     lines = []
     for item in measured:
-        path = item.path
-        if item.truth is not None:
-            path = moved_path(path, item.truth.alignment.transform)
+        path = item.trajectory
+        if item.measures.truth is not None:
+            path = moved_path(path, item.measures.truth.alignment.transform)
         lines.append(Line(path, item.name, colours[item.name], 1.0))
     marked = lines[0].path
     if truth is not None:
@@ -227,11 +215,12 @@ def _paths_over_truth(
 def _headline(cases: Mapping[str, Sequence[MeasuredPath]]) -> str:
     """Name the path with the smallest error; of several cases the number of paths."""
     measured = [item for own in cases.values() for item in own]
-    truth = {item.name: item.truth.ate.rmse for item in measured if item.truth is not None}
+    errors = {item.name: item.measures for item in measured}
+    truth = {name: own.truth.ate.rmse for name, own in errors.items() if own.truth is not None}
     known = {
-        item.name: item.relations.translation.mean
-        for item in measured
-        if item.relations is not None
+        name: own.relations.translation.mean
+        for name, own in errors.items()
+        if own.relations is not None
     }
     if len(cases) > 1 or not (truth or known):
         return f"{len(measured)} paths of {len(cases)} cases"

@@ -153,7 +153,7 @@ def judge_drive(folder: Path, device: ComputeDevice) -> Iterator[Found]:
         judged = judged_scans(scans)
         alone = score_paths(judged, parts, device)
         time_s = time.perf_counter() - began_s
-        fused = {FUSED: fuse_weighed_paths(parts, alone, device).trajectory}
+        fused = {FUSED: fuse_weighed_paths(parts, alone, device)[0].trajectory}
         evidence = score_paths(judged, {TRUTH: truth, **parts, **fused, **wrong}, device)
         contest = evidence.of_paths((TRUTH, *parts))
         best, *others = contest.ranking()

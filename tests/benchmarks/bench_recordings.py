@@ -27,13 +27,14 @@ from slamfusion.evaluation.doubled_walls import doubled_wall_share
 from slamfusion.evaluation.measured import Yardsticks, measure_trajectory
 from slamfusion.evidence.beams import judged_scans
 from slamfusion.evidence.drawn_map import draw_map, drawn_scans
+from slamfusion.evidence.fused_path import fuse_paths, trust_in_paths
 from slamfusion.evidence.path_frames import consensus_poses, lay_paths
 from slamfusion.evidence.predictive import score_paths
+from slamfusion.evidence.refined_path import refine_borne_out
 from slamfusion.io import LogScan, open_log, read_trajectory
-from slamfusion.jobs.fused_path import fuse_weighed_paths
 from slamfusion.jobs.run import run_log
 from slamfusion.jobs.run_files import save_run
-from slamfusion.slam.registry import BUILT_IN
+from slamfusion.slam.registry import BUILT_IN, loop_closers
 from slamfusion.trajectory import Trajectory
 from tests.benchmarks.record import add_record_option, console_for
 
@@ -100,14 +101,16 @@ def candidates(
 ) -> tuple[dict[str, Trajectory], dict[str, float]]:
     """Return every path that may be chosen, and what the even scans say of each."""
     evidence = score_paths(judged_scans(even), paths, device)
-    laid = lay_paths(paths)
-    refined = fuse_weighed_paths(paths, evidence, device).refinement
-    assert refined is not None
+    stamps_s, laid, weights = lay_paths(paths)
+    closers = loop_closers(paths)
+    drifting = [name for name in paths if name not in closers]
+    fused = fuse_paths(paths, trust_in_paths(evidence), sharing_fault=drifting, name=FUSED)
+    refined, _, _ = refine_borne_out(evidence, fused, device)
     found = {
         **paths,
-        CONSENSUS: Trajectory(laid.stamps_s, consensus_poses(laid), CONSENSUS),
-        FUSED: refined.given,
-        REFINED: refined.path,
+        CONSENSUS: Trajectory(stamps_s, consensus_poses(laid, weights), CONSENSUS),
+        FUSED: fused,
+        REFINED: refined,
     }
     scored = score_paths(evidence.scans, found, device)
     return found, {name: score.consistency for name, score in scored.scores.items()}

@@ -94,8 +94,8 @@ def test_paths_in_frames_of_their_own_are_laid_into_one() -> None:
         "b": path(compose_poses((30.0, -7.0, 2.0), truth)),
         "c": path(compose_poses((-3.0, 1.0, -3.0), truth)),
     }
-    laid = lay_paths(paths)
-    assert np.abs(laid.poses - laid.poses[0])[..., :2].max() < 1e-6
+    _, laid, _ = lay_paths(paths)
+    assert np.abs(laid - laid[0])[..., :2].max() < 1e-6
 
 
 def test_what_cannot_be_laid_is_said() -> None:
@@ -118,15 +118,14 @@ def test_what_cannot_be_laid_is_said() -> None:
 def test_a_path_that_lies_elsewhere_has_no_say() -> None:
     truth = two_rounds()
     far = truth + np.array((5.0, 0.0, 0.0))
-    laid = lay_paths({"a": path(truth), "b": path(broken_away(truth, 120, (0, 0, 1.0)))})
-    assert np.abs(consensus_poses(laid)[120:] - laid.poses[0, 120:]).max() < 1e-6
-    three = lay_paths(
+    broken = broken_away(truth, 120, (0, 0, 1.0))
+    _, laid, weights = lay_paths({"a": path(truth), "b": path(broken)})
+    assert np.abs(consensus_poses(laid, weights)[120:] - laid[0, 120:]).max() < 1e-6
+    _, laid, weights = lay_paths(
         {"a": path(truth), "b": path(truth + np.array((0.02, 0.0, 0.0))), "c": path(truth)}
     )
-    poses = three.poses.copy()
-    poses[2] = far
-    lost = type(three)(three.names, three.stamps_s, poses, three.weights)
-    assert np.abs(consensus_poses(lost)[:, :2] - truth[:, :2]).max() < 0.03
+    laid[2] = far
+    assert np.abs(consensus_poses(laid, weights)[:, :2] - truth[:, :2]).max() < 0.03
 
 
 # --- the fused path ---------------------------------------------------------------------------
@@ -172,8 +171,8 @@ def test_there_is_no_jump_where_another_path_takes_over() -> None:
     apart = np.hypot(*(told - true)[:, :2].T)
     assert apart.max() < 0.05
     # The consensus of each scan on its own does jump.
-    laid = lay_paths({str(index): path(own) for index, own in enumerate(inputs)})
-    jumpy = consensus_poses(laid)
+    _, laid, weights = lay_paths({str(index): path(own) for index, own in enumerate(inputs)})
+    jumpy = consensus_poses(laid, weights)
     told = compose_poses(invert_poses(jumpy[:-1]), jumpy[1:])
     assert np.hypot(*(told - true)[:, :2].T).max() > 0.3
 

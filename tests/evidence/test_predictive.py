@@ -86,7 +86,7 @@ def test_path_added_later_is_scored_as_with_the_others(
     for name, score in wanted.scores.items():
         for array in ("sums", "beams", "seen"):
             assert np.array_equal(getattr(found.scores[name], array), getattr(score, array))
-        poses = (found.scores[name].path.poses, score.path.poses)
+        poses = (found.scores[name].poses, score.poses)
         assert np.array_equal(*poses, equal_nan=True)
 
 

@@ -31,15 +31,14 @@ def test_a_path_that_lays_walls_on_each_other_is_taken(
     truth = circuit()
     evidence = score_paths(scans, {"truth": truth}, device)
     given = wavy(truth)
-    found = refine_borne_out(evidence, given, device)
+    path, with_refined, found = refine_borne_out(evidence, given, device)
     assert found.taken
     assert found.verdict == "better"
-    assert found.path.name == "fused"
-    assert not np.array_equal(found.path.poses, given.poses)
-    assert tuple(found.evidence.scores) == ("truth", "fused")
-    again = with_path(evidence, "fused", found.path, device).scores["fused"]
-    assert found.evidence.scores["fused"].consistency == again.consistency
-    assert found.evidence.scores["fused"].name == "fused"
+    assert path.name == "fused"
+    assert not np.array_equal(path.poses, given.poses)
+    assert tuple(with_refined.scores) == ("truth", "fused")
+    again = with_path(evidence, "fused", path, device).scores["fused"]
+    assert with_refined.scores["fused"].consistency == again.consistency
     assert plain(found)["taken"]
 
 
@@ -53,16 +52,16 @@ def test_a_path_that_the_scans_speak_against_is_not_taken(
     monkeypatch.setattr(
         refined_path, "refine_path", lambda _, path: moved(path, (0.4, 0.0, 0.0), len(path) // 2)
     )
-    found = refine_borne_out(evidence, given, device)
+    path, with_given, found = refine_borne_out(evidence, given, device)
     assert not found.taken
     assert found.verdict == "worse"
-    assert found.path is given
+    assert path is given
     before = with_path(evidence, "fused", given, device).scores["fused"]
-    assert found.evidence.scores["fused"].consistency == before.consistency
-    assert tuple(found.evidence.scores) == ("other", "fused")
+    assert with_given.scores["fused"].consistency == before.consistency
+    assert tuple(with_given.scores) == ("other", "fused")
     # What comes by chance more often than once in a hundred times speaks against neither.
     monkeypatch.setattr(refined_path, "SURE", found.p_value)
-    assert refine_borne_out(evidence, given, device).taken
+    assert refine_borne_out(evidence, given, device)[2].taken
     assert plain(found) == {
         "taken": False,
         "start": "paths",
@@ -92,16 +91,17 @@ def test_where_the_odometry_is_nearer_the_path_is_sought_from_it(
     # Its frame is another one, and its places are those of a wheel that is a little too large.
     assert scans.odometry is not None
     elsewhere = replace(scans, odometry=compose_poses((30.0, -4.0, 2.0), scans.odometry))
-    found = refine_borne_out(replace(evidence, scans=elsewhere), given, device)
+    evidence = replace(evidence, scans=elsewhere)
+    path, with_refined, found = refine_borne_out(evidence, given, device)
     assert (found.taken, found.start) == (True, "odometry")
     assert plain(found)["start"] == "odometry"
     assert found.verdict == "better"
     assert worst_m(given, truth) > 0.5
-    assert worst_m(found.path, truth) < 0.05
+    assert worst_m(path, truth) < 0.05
     # It has the name, the stamps and the frame of the path that was given.
-    assert found.path.name == "fused"
-    assert np.array_equal(found.path.stamps_s, given.stamps_s)
-    off_m = np.linalg.norm(found.path.poses[:, :2] - given.poses[:, :2], axis=1)
+    assert path.name == "fused"
+    assert np.array_equal(path.stamps_s, given.stamps_s)
+    off_m = np.linalg.norm(path.poses[:, :2] - given.poses[:, :2], axis=1)
     assert np.median(off_m) < 0.6
-    again = with_path(evidence, "fused", found.path, device).scores["fused"]
-    assert found.evidence.scores["fused"].consistency == pytest.approx(again.consistency, abs=2e-3)
+    again = with_path(evidence, "fused", path, device).scores["fused"]
+    assert with_refined.scores["fused"].consistency == pytest.approx(again.consistency, abs=2e-3)

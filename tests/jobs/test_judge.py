@@ -47,7 +47,7 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_paths_are_ranked_without_a_truth(drive: Path) -> None:
     files = [drive / "bent.tum", drive / "elsewhere.tum", drive / "sparse.tum"]
     found = judge_paths(drive / "drive.log", files)
-    assert list(found.trajectories) == ["bent", "elsewhere", "sparse"]
+    assert [path.name for path in found.paths] == ["bent", "elsewhere", "sparse"]
     answer = found.recommendation
     assert answer.path in {"elsewhere", "sparse"}
     assert answer.best_single == answer.path
@@ -66,7 +66,7 @@ def test_paths_are_ranked_without_a_truth(drive: Path) -> None:
 def test_with_a_truth_there_are_both_rankings(drive: Path) -> None:
     files = [drive / "bent.tum", drive / "elsewhere.tum"]
     found = judge_paths(drive / "drive.log", files, RunConfig(), truth=drive / "truth.tum")
-    assert list(errors_m(found.measures)["ATE"]) == ["elsewhere", "bent"]
+    assert list(errors_m(found.measured)["ATE"]) == ["elsewhere", "bent"]
     assert found.ranking_by_relations == ()
     document = plain(JudgeDocument(found, found.circumstances))
     check_document(document, "judge")
@@ -80,12 +80,12 @@ def test_one_path_is_made_of_all_and_judged_beside_them(drive: Path, tmp_path: P
     out = tmp_path / "one.tum"
     found = judge_paths(drive / "drive.log", files, truth=drive / "truth.tum", fused=out)
     assert found.fused_path is not None
-    assert list(found.trajectories) == ["bent", "elsewhere", "sparse"]
+    assert [path.name for path in found.paths] == ["bent", "elsewhere", "sparse"]
     answer = found.recommendation
     assert {path.name for path in answer.paths} == {"bent", "elsewhere", "sparse", "fused"}
     assert answer.path == "fused"
     assert answer.best_single in {"elsewhere", "sparse"}
-    assert errors_m(found.measures)["ATE"]["fused"] < 0.02
+    assert errors_m(found.measured)["ATE"]["fused"] < 0.02
     check_document(plain(JudgeDocument(found, found.circumstances)), "judge")
     fused = found.fused_path
     assert (fused.file, fused.poses) == (out, len(TRUTH))
@@ -133,7 +133,7 @@ def test_the_report_shows_the_drive_and_the_errors(drive: Path, tmp_path: Path) 
     assert f"<h1>{found.recommendation.headline}</h1>" in text
     assert "<strong>Single SLAM:</strong> elsewhere" in text
     assert "<details><summary>The scores</summary>" in text
-    assert f"{errors_m(found.measures)['ATE']['bent']:.4f}" in text
+    assert f"{errors_m(found.measured)['ATE']['bent']:.4f}" in text
     assert "relations, m" not in text, "there were none"
     # A path alone.
     alone = judge_paths(drive / "drive.log", files[:1])
@@ -145,9 +145,9 @@ def test_the_report_shows_the_drive_and_the_errors(drive: Path, tmp_path: Path) 
 def test_two_files_of_one_name_are_told_apart(drive: Path, tmp_path: Path) -> None:
     write_tum(tmp_path / "bent.tum", TRUTH)
     found = judge_paths(drive / "drive.log", [drive / "bent.tum", tmp_path / "bent.tum"])
-    assert len(set(found.trajectories)) == 2
-    assert found.recommendation.path == f"{tmp_path.name}/bent"
-    assert np.array_equal(found.trajectories[found.recommendation.path].stamps_s, TRUTH.stamps_s)
+    _, other = found.paths
+    assert found.recommendation.path == other.name == f"{tmp_path.name}/bent"
+    assert np.array_equal(other.trajectory.stamps_s, TRUTH.stamps_s)
 
 
 def test_a_path_on_another_clock_is_named_and_put_on_the_logs(drive: Path, tmp_path: Path) -> None:

@@ -20,7 +20,7 @@ from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid, trinary_cells
 from slamfusion.io import load_map, open_log, read_trajectory, save_map, write_carmen, write_tum
 from slamfusion.jobs.cases import CaseFile
-from slamfusion.jobs.fused_path import DrivePath
+from slamfusion.jobs.fused_path import FusedPath
 from slamfusion.jobs.inputs import RUN_DEFAULTS
 from slamfusion.jobs.run import WHOLE, draw_run, fuse_drive, run_log, score_all_paths
 from slamfusion.jobs.run_files import DriveFusion, FailedProducer, LogRun, RunProducer, save_run
@@ -245,7 +245,7 @@ def test_a_saved_map_brings_its_path(place: Path, tmp_path: Path) -> None:
     saved = save_run(run, tmp_path / "out")
     check_document(plain(saved), "run")
     (told,) = saved.saved_paths
-    assert (told.path.name, len(told.path)) == ("map", 11)
+    assert (told.name, told.poses) == ("map", 11)
     assert told.measures.truth is not None
     assert told.measures.truth.ate.rmse == pytest.approx(0.0, abs=1e-6)
     own = next(item for item in saved.path_evidence if item.name == "map")
@@ -298,7 +298,7 @@ def test_where_nothing_can_be_drawn_the_maps_vote(place: Path) -> None:
     a_map = written_map("a", "|#..#|")
     vote = DriveFusion((), fits(a_map, a_map.with_name("b")))
     late = Trajectory(np.array([1e6, 1e6 + 1.0]), np.zeros((2, 3)), "fused")
-    no_scan = DrivePath(trajectory=late, poses=2, trust={})
+    no_scan = FusedPath(trajectory=late, trust={})
     for path, why in (
         (None, "fewer than two producers have a path"),
         (no_scan, "give a path of this"),

@@ -14,16 +14,16 @@ import pytest
 from slamfusion.config import NormalizeConfig, RunConfig
 from slamfusion.errors import SlamFusionError
 from slamfusion.evaluation.map_error import compare_to_truth
+from slamfusion.evaluation.measured import Measures
 from slamfusion.evaluation.relations import Relations, relation_errors
 from slamfusion.evaluation.trajectory_error import trajectory_errors
 from slamfusion.fusion.path_check import moved_path, path_gaps
 from slamfusion.geometry import Pose2
 from slamfusion.jobs.fuse_documents import DoubledWalls
-from slamfusion.jobs.fused_path import DrivePath
+from slamfusion.jobs.fused_path import FusedPath
 from slamfusion.jobs.records import Circumstances, Evaluation
 from slamfusion.jobs.run_files import DriveFusion, FailedProducer, LogRun, RunFiles, RunProducer
 from slamfusion.jobs.run_page import run_page, write_run_page
-from slamfusion.jobs.trajectory import Measures
 from slamfusion.palette import NAMED, OTHERS
 from slamfusion.slam.common.runner import ProducerRun, run_producer
 from slamfusion.slam.side_by_side import Outcome
@@ -98,9 +98,8 @@ def everything() -> LogRun:
         path_gaps=gaps,
         path_evidence=(),
         best_founded=None,
-        fused_path=DrivePath(
+        fused_path=FusedPath(
             trajectory=path,
-            poses=len(path),
             trust={},
             measures=Measures(errors, relation_errors(path, standing(path), 0.01)),
         ),

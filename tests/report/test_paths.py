@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 
 from slamfusion.config import ReportConfig, RunConfig, TrajectoryConfig
-from slamfusion.evaluation.measured import PathErrors
+from slamfusion.evaluation.measured import MeasuredPath, Measures
 from slamfusion.evaluation.relations import RelationErrors
 from slamfusion.evaluation.trajectory_error import trajectory_errors
 from slamfusion.geometry import compose_poses
 from slamfusion.grid import OccupancyGrid
 from slamfusion.palette import END_RGB, NAMED, OTHERS, START_RGB
-from slamfusion.report import Fact, MeasuredPath, paths, write_slam_report, write_trajectory_report
+from slamfusion.report import Fact, paths, write_slam_report, write_trajectory_report
 from slamfusion.report.errors import distribution_figure
 from slamfusion.slam.common.mapper import Series
 from slamfusion.trajectory import Trajectory
@@ -122,14 +122,16 @@ def relations_of_round() -> RelationErrors:
 
 def test_the_report_of_a_run_has_all_parts(tmp_path: Path) -> None:
     truth = Trajectory(in_room().stamps_s, compose_poses((5.0, 6.0, 1.0), in_room().poses), "true")
+    run = run_of(NASTY, own_map(), in_room(wrong=0.1), odometry=in_room(wrong=0.3), low_in_a_row=8)
+    errors = trajectory_errors(run.trajectory, truth, CONFIG.trajectory)
     page = write_slam_report(
         tmp_path,
-        run_of(NASTY, own_map(), in_room(wrong=0.1), odometry=in_room(wrong=0.3), low_in_a_row=8),
+        run,
         config=CONFIG,
         facts=[Fact("1.25 ms", "mean time a scan")],
         figures=[("low scores", "3")],
         truth=truth,
-        relations=relations_of_round(),
+        measures=Measures(errors, relations_of_round()),
         device="a device",
     ).read_text(encoding="utf-8")
     for words in (
@@ -193,7 +195,8 @@ def test_the_report_of_a_run_shows_its_series_and_other_paths(tmp_path: Path) ->
 def measured(name: str, wrong: float) -> MeasuredPath:
     path, truth = in_room(wrong=wrong), in_room()
     errors = trajectory_errors(path, truth, TrajectoryConfig(alignment="none"))
-    return MeasuredPath(name, path, PathErrors(errors, relations_of_round()))
+    measures = Measures(errors, relations_of_round())
+    return MeasuredPath(trajectory=replace(path, name=name), measures=measures)
 
 
 def test_the_report_of_a_trajectory_says_what_its_numbers_rest_on(tmp_path: Path) -> None:
