@@ -12,46 +12,44 @@
 INLINE int free_neighbours(__global const char *cells, const int height, const int width,
                            const int row, const int col) {
   int count = 0;
-  for (int r = max(row - 1, 0); r <= min(row + 1, height - 1); r++)
-    for (int c = max(col - 1, 0); c <= min(col + 1, width - 1); c++)
+  for (int r = HIGHER(row - 1, 0); r <= LOWER(row + 1, height - 1); r++)
+    for (int c = HIGHER(col - 1, 0); c <= LOWER(col + 1, width - 1); c++)
       count += (r != row || c != col) && cells[r * width + c] == FREE;
   return count;
 }
 
-/* Cells of a row that are looked at together: most have no wall, where the device takes any address. */
-#define WALL_LANES 8
-#ifdef UNALIGNED_WORDS
-/* Whether none of WALL_LANES cells is 1; the bytes are -1, 0 or 1. */
-INLINE bool has_none(__global const char *cells, const int count) {
-  if (count < WALL_LANES) return false;
-  const ulong word = WORD(cells, 0);
-  return !(word & ~(word >> 1) & EACH_LANE);
+/* Cells of a row that are done together, a byte each of four words, where all their neighbours lie on
+ * the map. */
+#define WALL_LANES 32
+
+/* Free cells among the neighbours of each: of -1, 0 and 1 only 0 has no lowest bit. */
+INLINE ulong4 free_around(__global const char *at, const int width) {
+  __global const char *above = at + width, *below = at - width;
+  return (~LOAD32(below - 1) & EACH_LANE) + (~LOAD32(below) & EACH_LANE) +
+         (~LOAD32(below + 1) & EACH_LANE) + (~LOAD32(at - 1) & EACH_LANE) +
+         (~LOAD32(at + 1) & EACH_LANE) + (~LOAD32(above - 1) & EACH_LANE) +
+         (~LOAD32(above) & EACH_LANE) + (~LOAD32(above + 1) & EACH_LANE);
 }
-#define CLEAR(p) (*(__global ulong *)(p) = 0)
-#else
-INLINE bool has_none(__global const char *cells, const int count) { return false; }
-#define CLEAR(p)
-#endif
 
 /* 1 where a wall cell does not stand in free space alone, else 0. A speck of noise, or two side by
- * side, has seven or eight free neighbours.
+ * side, has seven or eight free neighbours: SPECK_FREE_CELLS.
  * cells (height, width) char trinary; out (height, width) uchar.
  * Global: (ceil(width / RUN), height). */
 __kernel void solid_walls(__global const char *cells, const int height, const int width,
                           __global uchar *out) {
   const int first = get_global_id(0) * RUN, row = get_global_id(1);
   if (first >= width || row >= height) return;
-  const int stop = first + RUN < width ? first + RUN : width;
-  for (int begin = first; begin < stop; begin += WALL_LANES) {
-    const int end = LOWER(begin + WALL_LANES, stop);
-    if (has_none(cells + row * width + begin, end - begin)) {
-      CLEAR(out + row * width + begin);
-      continue;
-    }
-    for (int col = begin; col < end; col++) {
-      const int index = row * width + col;
-      out[index] = cells[index] == OCCUPIED &&
-                   free_neighbours(cells, height, width, row, col) < SPECK_FREE_CELLS;
+  const int stop = LOWER(first + RUN, width);
+  const bool is_inner = row > 0 && row + 1 < height;
+  for (int col = first; col < stop; col++) {
+    __global const char *at = cells + row * width + col;
+    __global uchar *to = out + row * width + col;
+    if (is_inner && col > 0 && col + WALL_LANES <= LOWER(stop, width - 1)) {
+      const ulong4 own = LOAD32(at), seven = (free_around(at, width) + EACH_LANE) >> 3;
+      STORE32(own & ~(own >> 1) & ~seven & EACH_LANE, to);
+      col += WALL_LANES - 1;
+    } else {
+      *to = *at == OCCUPIED && free_neighbours(cells, height, width, row, col) < SPECK_FREE_CELLS;
     }
   }
 }
@@ -63,16 +61,16 @@ __kernel void surface_walls(__global const char *cells, __global const uchar *so
                             const int height, const int width, __global uchar *out) {
   const int first = get_global_id(0) * RUN, row = get_global_id(1);
   if (first >= width || row >= height) return;
-  const int stop = first + RUN < width ? first + RUN : width;
-  for (int begin = first; begin < stop; begin += WALL_LANES) {
-    const int end = LOWER(begin + WALL_LANES, stop);
-    if (has_none((__global const char *)solid + row * width + begin, end - begin)) {
-      CLEAR(out + row * width + begin);
-      continue;
-    }
-    for (int col = begin; col < end; col++) {
-      const int index = row * width + col;
-      out[index] = solid[index] && free_neighbours(cells, height, width, row, col) > 0;
+  const int stop = LOWER(first + RUN, width);
+  const bool is_inner = row > 0 && row + 1 < height;
+  for (int col = first; col < stop; col++) {
+    const int at = row * width + col;
+    if (is_inner && col > 0 && col + WALL_LANES <= LOWER(stop, width - 1)) {
+      const ulong4 count = free_around(cells + at, width);
+      STORE32(LOAD32(solid + at) & (count | count >> 1 | count >> 2 | count >> 3), out + at);
+      col += WALL_LANES - 1;
+    } else {
+      out[at] = solid[at] && free_neighbours(cells, height, width, row, col) > 0;
     }
   }
 }
@@ -249,40 +247,36 @@ __kernel void max_pair(__global const uchar *field, const int height, const int 
   }
 }
 
-/* Cells that are looked at together: off the input together, mostly. */
+/* Cells that are looked at together: mostly all on the input, or all off it. */
 #define WARP_CELLS 32
 
-/* Nearest-cell resampling: out[k, row, col] = in at the fixed pose k of the centre of the output
- * cell, fill outside. poses (count, 4) long Q30, output lattice to input lattice.
- * in (height, width) char; out (count, out_height, out_width) char.
- * A work item does RUN cells of a row: along it the position grows by a constant, two additions a
- * cell instead of four products. Global: (ceil(out_width / RUN), out_height, count). */
-__kernel void warp(__global const char *in, const int height, const int width,
-                   __global const long *poses, const int count, const int out_height,
-                   const int out_width, const char fill, __global char *out) {
-  const int first = get_global_id(0) * RUN, row = get_global_id(1), k = get_global_id(2);
-  if (first >= out_width || row >= out_height || k >= count) return;
-  const long4 pose = vload4(k, poses);
+/* The cells of `in` at the fixed pose of the centres of cells of a row, from one to RUN - 1 after it at
+ * the most; fill outside. Along a row the position grows by a constant, two additions a cell instead of
+ * four products. */
+INLINE void warped_run(__global const char *in, const int height, const int width, const long4 pose,
+                       const int row, const int first, const int stop, const char fill, char *run) {
   const long x2 = 2 * first + 1, y2 = 2 * row + 1;
   long x = pose.x * x2 - pose.y * y2 + pose.z, y = pose.y * x2 + pose.x * y2 + pose.w;
   const long dx = 2 * pose.x, dy = 2 * pose.y;
-  __global char *line = out + ((size_t)k * out_height + row) * out_width;
-  const int stop = first + RUN < out_width ? first + RUN : out_width;
-  for (int begin = first; begin < stop; begin += WARP_CELLS) {
-    const int end = LOWER(begin + WARP_CELLS, stop);
+  for (int begin = 0; begin < stop - first; begin += WARP_CELLS) {
+    const int end = LOWER(begin + WARP_CELLS, stop - first);
     const long far_x = x + dx * (end - 1 - begin), far_y = y + dy * (end - 1 - begin);
-    /* Off to one side at both ends: off it between them too. */
-    const bool is_off = LOWER(x, far_x) >> FIXED_TO_CELL_SHIFT >= width ||
-                        LOWER(y, far_y) >> FIXED_TO_CELL_SHIFT >= height ||
-                        (x & far_x) < 0 || (y & far_y) < 0;
-    if (is_off) {
-      for (int col = begin; col < end; col++) line[col] = fill;
+    const long low_x = LOWER(x, far_x) >> FIXED_TO_CELL_SHIFT, low_y = LOWER(y, far_y) >> FIXED_TO_CELL_SHIFT;
+    const long high_x = HIGHER(x, far_x) >> FIXED_TO_CELL_SHIFT, high_y = HIGHER(y, far_y) >> FIXED_TO_CELL_SHIFT;
+    /* On, or off to one side, at both ends: so between them too. */
+    if (low_x >= 0 && low_y >= 0 && high_x < width && high_y < height) {
+      for (int i = 0; i < end - begin; i++) {
+        const int c = (x + dx * i) >> FIXED_TO_CELL_SHIFT, r = (y + dy * i) >> FIXED_TO_CELL_SHIFT;
+        run[begin + i] = in[r * width + c];
+      }
+    } else if (low_x >= width || low_y >= height || high_x < 0 || high_y < 0) {
+      for (int i = begin; i < end; i++) run[i] = fill;
     } else {
       long across = x, down = y;
-      for (int col = begin; col < end; col++) {
+      for (int i = begin; i < end; i++) {
         const long c = across >> FIXED_TO_CELL_SHIFT, r = down >> FIXED_TO_CELL_SHIFT;
         const bool inside = c >= 0 && r >= 0 && c < width && r < height;
-        line[col] = inside ? in[r * width + c] : fill;
+        run[i] = inside ? in[r * width + c] : fill;
         across += dx;
         down += dy;
       }
@@ -290,4 +284,55 @@ __kernel void warp(__global const char *in, const int height, const int width,
     x = far_x + dx;
     y = far_y + dy;
   }
+}
+
+/* Nearest-cell resampling: out[k, row, col] = in at the fixed pose k of the centre of the output
+ * cell, fill outside. poses (count, 4) long Q30, output lattice to input lattice.
+ * in (height, width) char; out (count, out_height, out_width) char. A work item does RUN cells of a
+ * row. Global: (ceil(out_width / RUN), out_height, count). */
+__kernel void warp(__global const char *in, const int height, const int width,
+                   __global const long *poses, const int count, const int out_height,
+                   const int out_width, const char fill, __global char *out) {
+  const int first = get_global_id(0) * RUN, row = get_global_id(1), k = get_global_id(2);
+  if (first >= out_width || row >= out_height || k >= count) return;
+  const int stop = LOWER(first + RUN, out_width);
+  __global char *line = out + ((size_t)k * out_height + row) * out_width + first;
+  char run[RUN];
+  warped_run(in, height, width, vload4(k, poses), row, first, stop, fill, run);
+  for (int i = 0; i < stop - first; i++) line[i] = run[i];
+}
+
+INLINE int lanes_count(const uchar16 lanes) {
+  const ushort8 eight = convert_ushort8(lanes.lo) + convert_ushort8(lanes.hi);
+  const ushort4 four = eight.lo + eight.hi;
+  return four.x + four.y + four.z + four.w;
+}
+
+/* Joint counts of a trinary grid and of another under a fixed pose, grid to other, which is unknown
+ * outside: partial[chunk, 3 (a + 1) + (b + 1)] over chunks of `chunk` rows, at most 63; the host adds
+ * the chunks. a (height, width), b (b_height, b_width) char; pose (4) long; partial (chunks, 9) int.
+ * Global: (chunks). */
+__kernel void confusion(__global const char *a, const int height, const int width,
+                        __global const char *b, const int b_height, const int b_width,
+                        __global const long *pose, const int chunk, __global int *partial) {
+  const int start = get_global_id(0) * chunk, stop = LOWER(start + chunk, height);
+  if (start >= height) return;
+  int counts[9] = {0, 0, 0, 0, 0, 0, 0, 0, 0};
+  for (int first = 0; first < width; first += RUN) {
+    const int run = LOWER(RUN, width - first);
+    /* In lanes, for one pair of values after another: counting into an array waits for itself. */
+    uchar16 same[9];
+    for (int k = 0; k < 9; k++) same[k] = 0;
+    for (int row = start; row < stop; row++) {
+      __global const char *own = a + (size_t)row * width + first;
+      char other[RUN];
+      union { uchar cells[RUN]; uchar16 lanes[RUN / 16]; } pair;
+      warped_run(b, b_height, b_width, vload4(0, pose), row, first, first + run, UNKNOWN, other);
+      for (int i = 0; i < RUN; i++) pair.cells[i] = i < run ? 3 * own[i] + other[i] + 4 : 9;
+      for (int n = 0; n < RUN / 16; n++)
+        for (uchar k = 0; k < 9; k++) same[k] -= as_uchar16(pair.lanes[n] == (uchar16)k);
+    }
+    for (int k = 0; k < 9; k++) counts[k] += lanes_count(same[k]);
+  }
+  for (int k = 0; k < 9; k++) partial[get_global_id(0) * 9 + k] = counts[k];
 }

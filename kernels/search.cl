@@ -374,29 +374,6 @@ __kernel void refine_terms(__global const float *forward_points, const int forwa
   for (int i = 0; i < REFINE_TERMS; i++) partial[(c * n + p) * REFINE_TERMS + i] = sum[i];
 }
 
-/* Joint counts of two trinary grids: partial[chunk, 3 (a + 1) + (b + 1)] over chunks of `chunk`
- * cells; the host adds the chunks. a, b (cells) char; partial (chunks, 9) int. Global: (chunks). */
-__kernel void confusion(__global const char *a, __global const char *b, const int cells,
-                        const int chunk, __global int *partial) {
-  const int start = get_global_id(0) * chunk;
-  if (start >= cells) return;
-  const int stop = LOWER(start + chunk, cells);
-  int counts[9] = {0, 0, 0, 0, 0, 0, 0, 0, 0}, i = start;
-  /* Cells of a run are compared in lanes with one pair of values after another: counting into an array
-   * waits for itself. */
-  for (; i + RUN <= stop; i += RUN) {
-    uchar pair[RUN];
-    for (int n = 0; n < RUN; n++) pair[n] = 3 * a[i + n] + b[i + n] + 4;
-    for (int k = 0; k < 9; k++) {
-      uchar same = 0;
-      for (int n = 0; n < RUN; n++) same += pair[n] == k;
-      counts[k] += same;
-    }
-  }
-  for (; i < stop; i++) counts[3 * a[i] + b[i] + 4]++;
-  for (int k = 0; k < 9; k++) partial[get_global_id(0) * 9 + k] = counts[k];
-}
-
 /* [F16] alignment error: partial[p, chunk] = sum of squared differences of the reference's cells and
  * the moving cells under pose p, over every stride-th row and column; off the moving grid counts as
  * unknown. a (height, width) char; b (b_height, b_width) char; poses (n, 4) long Q30, reference

@@ -36,13 +36,13 @@ __kernel void piece_words(__global const uchar *field, __global const ushort *di
  * points (count, 2) int lattice positions, a piece's one after the other; starts (pieces + 1) int, the
  * first point of each, and the count; sides (count) uchar, what each point faces; poses (n, 4) long
  * Q30, points to field; turns (n) int, how far they turn, in parts; words (height, width) of
- * piece_words; sums (3, n, pieces) int. Global: (pieces, n). */
+ * piece_words; sums (3, n, pieces) int. Global: (n, pieces). */
 __kernel void piece_sums(__global const int *points, __global const int *starts, const int pieces,
                          __global const uchar *sides, const int sided, __global const long *poses,
                          __global const int *turns, const int n, __global const uint *words,
                          const int height, const int width, const int base,
                          __global int *sums) {
-  const int piece = get_global_id(0), p = get_global_id(1);
+  const int p = get_global_id(0), piece = get_global_id(1);
   if (piece >= pieces || p >= n) return;
   const int turn = turns[p];
   int values = 0, most = 0, seen = 0;

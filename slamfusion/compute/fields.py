@@ -20,10 +20,13 @@ from slamfusion.compute.layout import (
     OCCUPIED,
     RUN,
     SPECK_FREE_CELLS,
+    UNKNOWN,
     WINDOW_LANES,
 )
 
 Cell = TypeVar("Cell", np.int8, np.uint8)
+# Rows whose cells one work item counts; the host adds the counts.
+COUNTED_ROWS = 16
 
 
 def _free_neighbours(cells: I8) -> U8:
@@ -229,3 +232,26 @@ class FieldDevice(ArrayDevice):
             inside = (row >= 0) & (col >= 0) & (row < height) & (col < width)
             out[k][inside] = cells[row[inside], col[inside]]
         return out
+
+    def confusion(self, a: DeviceArray[np.int8], b: DeviceArray[np.int8], pose: I64) -> I64:
+        """Return (3, 3) joint counts of two trinary grids, of the second under a pose.
+
+        Args:
+            a: (H, W) int8. b: (h, w) int8; off it counts as unknown.
+            pose: (4,) fixed pose, lattice of ``a`` to that of ``b``.
+
+        Returns:
+            (3, 3) int64; the indices are the values + 1.
+        """
+        if self.opencl:
+            chunks = -(-a.shape[0] // COUNTED_ROWS)
+            partial = self.opencl.empty((chunks, 9), np.int32)
+            self.opencl.launch(
+                "confusion", (chunks,), a, *a.shape, b, *b.shape, self.upload(pose), COUNTED_ROWS,
+                partial,
+            )  # fmt: skip
+            return np.asarray(self.download(partial).sum(axis=0, dtype=np.int64)).reshape(3, 3)
+        height, width = a.shape
+        (warped,) = host(self.warp(b, pose[None], (height, width), UNKNOWN))
+        index = 3 * (host(a).astype(np.int64) + 1) + (warped + 1)
+        return np.bincount(index.ravel(), minlength=9).reshape(3, 3).astype(np.int64)

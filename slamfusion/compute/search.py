@@ -80,8 +80,8 @@ class FitSide(NamedTuple):
     distance: DeviceArray[np.uint16]
 
 
-# Points, cells and rows that one work item sums; the host adds the sums.
-CHUNK_POINTS, CHUNK_SCORED, CHUNK_CELLS, CHUNK_ROWS = 64, 512, 4096, 16
+# Points and rows that one work item sums; the host adds the sums.
+CHUNK_POINTS, CHUNK_SCORED, CHUNK_ROWS = 64, 512, 16
 # Of a neighbour along each axis, and along x and y of the ``NEIGHBOURS``.
 STEPS = (0, -1, 1)
 NEIGHBOUR_STEPS = [(x, y) for x in STEPS for y in STEPS]
@@ -184,17 +184,6 @@ def _scores(
 
 class SearchDevice(ArrayDevice):
     """A device that scores motions."""
-
-    def confusion(self, a: DeviceArray[np.int8], b: DeviceArray[np.int8]) -> I64:
-        """Return (3, 3) int64 joint counts of two trinary grids; the index is value + 1."""
-        if self.opencl:
-            chunks = -(-a.size // CHUNK_CELLS)
-            partial = self.opencl.empty((chunks, 9), np.int32)
-            self.opencl.launch("confusion", (chunks,), a, b, a.size, CHUNK_CELLS, partial)
-            return np.asarray(self.download(partial).sum(axis=0, dtype=np.int64)).reshape(3, 3)
-        a, b = host(a), host(b)
-        index = 3 * (a.astype(np.int64) + 1) + (b + 1)
-        return np.bincount(index.ravel(), minlength=9).reshape(3, 3).astype(np.int64)
 
     def squared_error(
         self, a: DeviceArray[np.int8], b: DeviceArray[np.int8], poses: I64, stride: int

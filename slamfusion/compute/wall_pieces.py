@@ -119,7 +119,7 @@ class WallPieceDevice(ArrayDevice):
             pieces, n = starts.shape[0] - 1, len(poses)
             sums = self.opencl.empty((3, n, pieces), np.int32)
             self.opencl.launch(
-                "piece_sums", (pieces, n), points, starts, pieces, facing, int(sided),
+                "piece_sums", (n, pieces), points, starts, pieces, facing, int(sided),
                 self.upload(poses), self.upload(turns), n, words, *words.shape, base, sums,
             )  # fmt: skip
             started.append(sums)

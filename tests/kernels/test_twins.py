@@ -81,7 +81,7 @@ def test_a_wrong_kernel_differs_from_its_twin(monkeypatch: pytest.MonkeyPatch):
     wrong = NumpyDevice()
     confusion, surface_walls = wrong.confusion, wrong.surface_walls
     monkeypatch.setattr(
-        wrong, "confusion", lambda a, b: confusion(a, b) + np.eye(3, dtype=np.int64)
+        wrong, "confusion", lambda *given: confusion(*given) + np.eye(3, dtype=np.int64)
     )
     monkeypatch.setattr(wrong, "surface_walls", lambda *a: surface_walls(*a).astype(np.int32))
     sample = Sample((33, 70))

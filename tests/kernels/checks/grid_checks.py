@@ -83,7 +83,9 @@ def _warp(device: ComputeDevice, sample: Sample) -> Arrays:
 
 def _confusion(device: ComputeDevice, sample: Sample) -> Arrays:
     a, b = (device.upload(grid) for grid in sample.grids(2))
-    return [device.confusion(a, b)]
+    b = b.reshape(b.shape[::-1])
+    poses = fixed_poses([(0.0, 0.0, 0.0), *sample.motions])
+    return [device.confusion(a, b, pose) for pose in poses]
 
 
 def _squared_error(device: ComputeDevice, sample: Sample) -> Arrays:
