@@ -56,6 +56,7 @@ from slamfusion.jobs.fuse import (
     fuse_maps as fuse_maps,
     save_fused_maps as save_fused_maps,
 )
+from slamfusion.jobs.fuse_documents import Evaluation as Evaluation
 from slamfusion.jobs.graph import (
     OptimizedGraph as OptimizedGraph,
     optimize_graph as optimize_graph,
@@ -72,7 +73,7 @@ from slamfusion.jobs.map_log import (
     map_log as map_log,
     save_mapped_log as save_mapped_log,
 )
-from slamfusion.jobs.records import Evaluation as Evaluation, load_schema as load_schema
+from slamfusion.jobs.records import load_schema as load_schema
 from slamfusion.jobs.results import (
     SavedResults as SavedResults,
     read_results as read_results,

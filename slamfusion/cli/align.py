@@ -71,8 +71,8 @@ def command(
     exit code is 1 if the alignment is rejected. If a start has no M and RAD, the --window options
     apply around it.
     """
-    from slamfusion.jobs.align import align_maps  # noqa: PLC0415
-    from slamfusion.jobs.records import AlignDocument, Circumstances  # noqa: PLC0415
+    from slamfusion.jobs.align import AlignDocument, align_maps  # noqa: PLC0415
+    from slamfusion.jobs.records import Circumstances  # noqa: PLC0415
 
     if scale is None and output is not None:
         raise click.UsageError("-o and --scale belong together; give both or neither")

@@ -17,8 +17,7 @@ if TYPE_CHECKING:
     from slamfusion.align.records import Alignment, Fusion, FusionResult, InputRecord, StoredFusion
     from slamfusion.evaluation.measured import Figure, Measures
     from slamfusion.evidence.recommendation import Recommendation
-    from slamfusion.jobs.fuse_documents import DoubledWalls
-    from slamfusion.jobs.records import Evaluation
+    from slamfusion.jobs.fuse_documents import DoubledWalls, Evaluation
     from slamfusion.trajectory import Trajectory
 
 PAIR_COLUMNS = (

@@ -11,11 +11,11 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from slamfusion.config import RunConfig, TrajectoryConfig
-from slamfusion.evaluation.map_error import MapError
 from slamfusion.evaluation.odometry import DensePoses, poses_by_odometry
 from slamfusion.evaluation.relations import (
     RelationErrors,
@@ -31,6 +31,9 @@ from slamfusion.geometry import F64
 from slamfusion.io import read_trajectory
 from slamfusion.json_values import FLAT, printed_with
 from slamfusion.trajectory import Trajectory
+
+if TYPE_CHECKING:  # OpenCV loads slowly
+    from slamfusion.evaluation.map_error import MapError
 
 _LOG = logging.getLogger(__name__)
 

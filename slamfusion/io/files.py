@@ -26,7 +26,11 @@ WORKING_BYTES = 64 * 2**20
 
 def available_memory() -> int:
     """Return the bytes that processes may still take before the machine swaps."""
-    import psutil  # noqa: PLC0415  (nodes are to start light)
+    with suppress(OSError, StopIteration):  # as psutil, which takes 17 ms to import
+        lines = Path("/proc/meminfo").read_text(encoding="ascii").splitlines()
+        line = next(line for line in lines if line.startswith("MemAvailable:"))
+        return 1024 * int(line.split()[1])
+    import psutil  # noqa: PLC0415  (not on Linux)
 
     return int(psutil.virtual_memory().available)
 

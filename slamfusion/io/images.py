@@ -89,12 +89,14 @@ def pixel_digest(pixels: Pixels) -> str:
 
 
 def encode_image(pixels: npt.NDArray[np.uint8], image_format: str) -> memoryview:
-    """Return a PGM, PNG or BMP file of (H, W), (H, W, 3) or (H, W, 4) pixels, top row first."""
+    """Return a PGM of (H, W) pixels, top row first, or a PNG or BMP, also of (H, W, 3 or 4)."""
+    if image_format == "pgm":
+        height, width = pixels.shape
+        return memoryview(b"P5\n%d %d\n255\n" % (width, height) + pixels.tobytes())
     import PIL.Image  # noqa: PLC0415  (nodes are to start light)
 
     data = io.BytesIO()
-    kind = "PPM" if image_format == "pgm" else image_format
-    PIL.Image.fromarray(pixels).save(data, kind)
+    PIL.Image.fromarray(pixels).save(data, image_format)
     return data.getbuffer()
 
 

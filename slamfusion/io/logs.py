@@ -7,8 +7,7 @@ from pathlib import Path
 
 from slamfusion.config import LogConfig
 from slamfusion.errors import LogError
-from slamfusion.io.bags import BagLog
-from slamfusion.io.bags.reader import (
+from slamfusion.io.bags import (
     MCAP_MAGIC,
     METADATA,
     ROS1_MAGIC,
@@ -25,6 +24,13 @@ _DEFAULT_CONFIG = LogConfig()
 
 Reader = Callable[[Path, LogConfig], ScanLog]
 
+
+def _bag_log(path: Path, config: LogConfig) -> ScanLog:
+    from slamfusion.io.bags.log import BagLog  # noqa: PLC0415  (text logs are to start light)
+
+    return BagLog(path, config)
+
+
 # Also of unclosed and packed bags.
 BAG_SUFFIXES = (".bag", ".db3", ".mcap", ".active", ".zstd", ".zst")
 # By the end of the name, without .gz; clear content has precedence.
@@ -35,7 +41,7 @@ _READERS: dict[str, Reader] = {
     ".carmen": CarmenLog,
     ".txt": CarmenLog,
     ".dat": TinySlamDat,
-    **dict.fromkeys(BAG_SUFFIXES, BagLog),
+    **dict.fromkeys(BAG_SUFFIXES, _bag_log),
 }
 _BAG_MAGICS = (ROS1_MAGIC, SQLITE_MAGIC, MCAP_MAGIC, ZSTD_MAGIC)
 # Number of logs of a folder that a message names.
@@ -82,7 +88,7 @@ def open_log(
 def bag_at(path: Path) -> Path | None:
     """Return the bag that ``open_log`` reads at a path; None for another log."""
     where = _place(path)
-    return where if _reader(where) is BagLog else None
+    return where if _reader(where) is _bag_log else None
 
 
 def log_sources(path: Path) -> list[Path]:
@@ -116,7 +122,7 @@ def _logs_in(folder: Path) -> list[Path]:
 def _reader(where: Path) -> Reader:
     if where.is_dir():
         if _is_bag(where):
-            return BagLog
+            return _bag_log
         logs = ", ".join(item.name for item in _logs_in(where)[:_NAMED])
         raise LogError(
             f"{where}: a folder without metadata.yaml, .db3 or .mcap is no ROS 2 bag; name a "
@@ -134,14 +140,14 @@ def _reader(where: Path) -> Reader:
     known = _reader_by_content(head)
     if known is not None:
         return known
-    if _READERS[suffix] is not BagLog and head.translate(None, _NO_TEXT) != head:
+    if _READERS[suffix] is not _bag_log and head.translate(None, _NO_TEXT) != head:
         raise LogError(f"{where}: wanted a text log, found binary data; check what the file is")
     return _READERS[suffix]
 
 
 def _reader_by_content(head: bytes) -> Reader | None:
     if head.startswith(_BAG_MAGICS):
-        return BagLog
+        return _bag_log
     for fields in map(bytes.split, head.splitlines()):
         if not fields or fields[0].startswith(b"#"):
             continue

@@ -26,7 +26,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path, PureWindowsPath
 from typing import Any
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 import yaml
@@ -43,7 +42,6 @@ from slamfusion.grid import (
     row_parts,
     trinary_cells,
 )
-from slamfusion.io.dxf import read_dxf
 from slamfusion.io.files import WORKING_BYTES, AtomicFiles, check_memory
 from slamfusion.io.images import (
     Pixels,
@@ -201,7 +199,7 @@ def cells_from_image(
             count = int(np.count_nonzero(pixels == grey))
             if legacy_unknown:
                 table[grey] = UNKNOWN
-        cells = _flipped(pixels, table)
+        cells = table[pixels[::-1]]
     else:
         height, width = pixels.shape[:2]
         cells = np.empty((height, width), dtype=np.int8)
@@ -234,13 +232,6 @@ def _quanta(values: npt.NDArray[Any], maxval: int) -> F64:
     return np.floor(values.astype(np.float64) * (_QUANTUM_MAX / maxval) + 0.5)
 
 
-def _flipped(values: npt.NDArray[Any], table: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Return ``table[values]`` upside down."""
-    if values.dtype == np.uint8:  # OpenCV is faster
-        return np.ascontiguousarray(cv2.LUT(values, table)[::-1])
-    return np.asarray(table[values[::-1]])
-
-
 def with_settled_edges(cells: Cells, pixels: Pixels, rules: Rules) -> Cells:
     """Return cells in which grey cells on the edge of a wall are occupied or free.
 
@@ -260,6 +251,8 @@ def with_settled_edges(cells: Cells, pixels: Pixels, rules: Rules) -> Cells:
         between &= percent != round(100.0 * (1.0 - UNKNOWN_GREY / 255.0))
     if not between.any():
         return cells
+    import cv2  # noqa: PLC0415  (loads slowly; who saves maps needs none)
+
     cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
 
     def reached(kind: int) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
@@ -298,13 +291,13 @@ def pixels_from_cells(
         # nav2's image library truncates to 16 bits, then to 8.
         table[: OCCUPIED + 1] = (((100 - value) / 100.0 * _QUANTUM_MAX).astype(np.int64)) // 257
         table[255] = 127
-    grey: npt.NDArray[np.uint8] = _flipped(cells.view(np.uint8), table)
+    flipped = cells.view(np.uint8)[::-1]
+    grey: npt.NDArray[np.uint8] = table[flipped]
     if rules.mode != "scale" or image_format != "png":
         return grey
     opaque = np.full(256, 255, dtype=np.uint8)
     opaque[255] = 0
-    alpha = _flipped(cells.view(np.uint8), opaque)
-    return np.dstack((grey, grey, grey, alpha))
+    return np.dstack((grey, grey, grey, opaque[flipped]))
 
 
 # --- reading -------------------------------------------------------------------------------------
@@ -348,6 +341,8 @@ def load_map(
     path = existing(Path(path))
     stem = Path(path.name.removesuffix(".gz")).stem
     if path.suffix.lower() == ".dxf":
+        from slamfusion.io.dxf import read_dxf  # noqa: PLC0415  (OpenCV loads slowly)
+
         cells, resolution, corner = read_dxf(path, resolution)
         return OccupancyGrid(cells, resolution, Pose2(*corner), name or stem)
     if looks_like_image(path):

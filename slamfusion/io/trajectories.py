@@ -14,7 +14,6 @@ import numpy as np
 from slamfusion.config import LogConfig
 from slamfusion.errors import TrajectoryError
 from slamfusion.geometry import F64, quaternion_yaw_rad, wrap_angle
-from slamfusion.io.bags.odometry import read_poses
 from slamfusion.io.carmen import CARMEN_WORDS
 from slamfusion.io.files import write_atomic
 from slamfusion.io.lines import ROW_BYTES, packed_by_name, read_head, strip_gz, text_lines
@@ -333,7 +332,11 @@ def _bag_path(
 ) -> Trajectory:
     notes: list[str] = []
     bag = bag_at(where)
-    table = None if bag is None else read_poses(bag, config, topic, notes)
+    table = None
+    if bag is not None:
+        from slamfusion.io.bags.odometry import read_poses  # noqa: PLC0415  (as logs.py does)
+
+        table = read_poses(bag, config, topic, notes)
     for note in notes:
         warn(f"{where}: {note}")
     if table is None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
 from slamfusion.align.records import Alignment
 from slamfusion.align.scale import wrong_resolution
@@ -14,11 +14,25 @@ from slamfusion.config import RunConfig
 from slamfusion.fusion import align_grids
 from slamfusion.geometry import Pose2
 from slamfusion.jobs.inputs import MapInput, Warn, device_for, load_maps
+from slamfusion.jobs.records import Circumstances
+from slamfusion.json_values import FLAT
 
 _LOG = logging.getLogger(__name__)
 
 # Of a start without tolerances: x, y, yaw.
 POSE_NUMBERS = 3
+
+
+@dataclass(frozen=True, eq=False)
+class AlignDocument:
+    """``slamfusion align``; exit code 1 where the alignment is not accepted."""
+
+    alignment: Alignment = field(metadata=FLAT)
+    circumstances: Circumstances = field(metadata=FLAT)
+    resolution: float
+    """Metres per cell of the moving map; with --scale as it was found."""
+    scale: float | None = None
+    """By which that is larger than the map says; null: without --scale."""
 
 
 def align_maps(

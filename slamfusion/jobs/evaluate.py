@@ -22,7 +22,7 @@ from slamfusion.fusion import align_grids, fuse_grids
 from slamfusion.geometry import Pose2
 from slamfusion.io import AtomicFiles
 from slamfusion.jobs.cases import CaseFile, Placed, case_names, place_files
-from slamfusion.jobs.fuse_documents import FusedInput
+from slamfusion.jobs.fuse_documents import Evaluation, FusedInput
 from slamfusion.jobs.inputs import (
     MapInput,
     PixelSizes,
@@ -33,7 +33,7 @@ from slamfusion.jobs.inputs import (
     load_truth,
 )
 from slamfusion.jobs.plan import align_plan_with_all
-from slamfusion.jobs.records import Evaluation, Settings, Summaries
+from slamfusion.jobs.records import Settings, Summaries
 from slamfusion.json_values import FLAT
 
 _LOG = logging.getLogger(__name__)

@@ -29,6 +29,7 @@ from slamfusion.jobs.documents import record_bytes
 from slamfusion.jobs.evaluate import evaluate_maps
 from slamfusion.jobs.fuse_documents import (
     DoubledWalls,
+    Evaluation,
     FusedGroup,
     FuseDocument,
     FusionRecord,
@@ -54,7 +55,7 @@ from slamfusion.jobs.outputs import (
     remove_empty,
     report_files,
 )
-from slamfusion.jobs.records import Circumstances, Evaluation
+from slamfusion.jobs.records import Circumstances
 from slamfusion.vote.tiles import TILE
 
 _LOG = logging.getLogger(__name__)

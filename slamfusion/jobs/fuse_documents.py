@@ -17,12 +17,23 @@ from slamfusion.align.records import (
 from slamfusion.config import RunConfig
 from slamfusion.errors import AlignmentError
 from slamfusion.evaluation.doubled_walls import doubled_wall_share, fused_doubled_shares
+from slamfusion.evaluation.map_error import MapError
 from slamfusion.grid import OccupancyGrid
 from slamfusion.jobs.inputs import NO_FILES, GivenMaps
 from slamfusion.jobs.outputs import AGREEMENT_END
-from slamfusion.jobs.records import Circumstances, Evaluation
+from slamfusion.jobs.records import Circumstances
 from slamfusion.json_values import FLAT, flat_or_null
 from slamfusion.vote.tiles import occupied_codes
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Evaluation(MapError):  # noqa: N818  (a measure, no exception)
+    """A map's errors, and the alignment with the truth that they rest on."""
+
+    aligned: bool
+    """Whether the alignment is accepted; a map that is used as it is counts as aligned."""
+    alignment: Alignment | None
+    """The alignment with the truth; null: the map was taken as it lies."""
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
@@ -16,15 +16,17 @@ from slamfusion.evaluation.measured import MeasuredPath, Measures, Yardsticks
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import AtomicFiles, open_log, save_map, write_atomic, write_tum
 from slamfusion.jobs.documents import number, record_bytes
-from slamfusion.jobs.evaluate import evaluate_maps
 from slamfusion.jobs.inputs import LogFiles, Progress, Warn, as_path, load_truth
 from slamfusion.jobs.outputs import PROBABILITY, output_files
-from slamfusion.jobs.records import Circumstances, Evaluation
+from slamfusion.jobs.records import Circumstances
 from slamfusion.json_values import FLAT
 from slamfusion.slam.common.mapper import Mapper
 from slamfusion.slam.common.runner import ProducerRun, Resumable, run_producer
 from slamfusion.slam.registry import make_producer, open_producer_device, resume_producer
 from slamfusion.trajectory import Trajectory
+
+if TYPE_CHECKING:  # what aligns maps loads slowly
+    from slamfusion.jobs.fuse_documents import Evaluation
 
 _LOG = logging.getLogger(__name__)
 
@@ -197,6 +199,8 @@ def map_log(
     try:
         measures = measure_run(run, config, held)
         if true_map is not None:
+            from slamfusion.jobs.evaluate import evaluate_maps  # noqa: PLC0415  (loads slowly)
+
             (map_error,) = evaluate_maps([run.grid], true_map, config, device)
     except SlamFusionError as error:  # the map is made; it is kept, with the failure
         failure = error

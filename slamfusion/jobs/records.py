@@ -9,14 +9,11 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from importlib import resources
 from typing import Any, TypedDict
 
-from slamfusion.align.records import Alignment
 from slamfusion.config import RunConfig, to_mapping
-from slamfusion.evaluation.map_error import MapError
-from slamfusion.json_values import FLAT
 from slamfusion.version import versions
 
 # --- what many documents share ----------------------------------------------------------------
@@ -70,16 +67,6 @@ class Circumstances:
         return {"device": self.device, "seed": self.config.seed, **Settings(self.config).to_json()}
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Evaluation(MapError):  # noqa: N818  (a measure, no exception)
-    """A map's errors, and the alignment with the truth that they rest on."""
-
-    aligned: bool
-    """Whether the alignment is accepted; a map that is used as it is counts as aligned."""
-    alignment: Alignment | None
-    """The alignment with the truth; null: the map was taken as it lies."""
-
-
 class MethodMeanJson(TypedDict):
     """The means of a method's figures over its cases; of seeds, those of each case come first."""
 
@@ -114,21 +101,6 @@ class Summaries:
     """The figures of each method over its cases."""
     repetitions: Sequence[RepetitionsJson]
     """The figures of each method over the seeds of one case; empty where none has several."""
-
-
-# --- align, evaluate --------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, eq=False)
-class AlignDocument:
-    """``slamfusion align``; exit code 1 where the alignment is not accepted."""
-
-    alignment: Alignment = field(metadata=FLAT)
-    circumstances: Circumstances = field(metadata=FLAT)
-    resolution: float
-    """Metres per cell of the moving map; with --scale as it was found."""
-    scale: float | None = None
-    """By which that is larger than the map says; null: without --scale."""
 
 
 # --- the schema -------------------------------------------------------------------------------

@@ -30,7 +30,7 @@ from slamfusion.grid import OccupancyGrid
 from slamfusion.jobs.cases import CaseFile
 from slamfusion.jobs.evaluate import evaluate_maps
 from slamfusion.jobs.fuse import AllRequiredError
-from slamfusion.jobs.fuse_documents import DoubledWalls
+from slamfusion.jobs.fuse_documents import DoubledWalls, Evaluation
 from slamfusion.jobs.fused_path import FusedPath, fuse_weighed_paths
 from slamfusion.jobs.inputs import (
     RUN_DEFAULTS,
@@ -44,7 +44,7 @@ from slamfusion.jobs.inputs import (
 )
 from slamfusion.jobs.map_log import measure_run
 from slamfusion.jobs.outputs import DRAWN, FUSED
-from slamfusion.jobs.records import Circumstances, Evaluation
+from slamfusion.jobs.records import Circumstances
 from slamfusion.jobs.run_files import (
     DrawnMap,
     DriveFusion,

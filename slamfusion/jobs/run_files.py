@@ -20,7 +20,12 @@ from slamfusion.fusion.path_check import PathGap
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import AtomicFiles, save_map, write_tum
 from slamfusion.jobs.documents import number, record_bytes
-from slamfusion.jobs.fuse_documents import DoubledWalls, FusionRecord, left_out_sentences
+from slamfusion.jobs.fuse_documents import (
+    DoubledWalls,
+    Evaluation,
+    FusionRecord,
+    left_out_sentences,
+)
 from slamfusion.jobs.fused_path import FusedPath
 from slamfusion.jobs.inputs import LogFiles
 from slamfusion.jobs.map_log import ProducerResult, write_producer
@@ -38,7 +43,7 @@ from slamfusion.jobs.outputs import (
     remove_empty,
     report_files,
 )
-from slamfusion.jobs.records import Circumstances, Evaluation
+from slamfusion.jobs.records import Circumstances
 from slamfusion.json_values import FLAT
 from slamfusion.trajectory import Trajectory
 

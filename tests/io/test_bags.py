@@ -16,7 +16,7 @@ from slamfusion.config import LogConfig
 from slamfusion.errors import LogError
 from slamfusion.geometry import Pose2
 from slamfusion.io import LogScan, open_log
-from slamfusion.io.bags import BagLog
+from slamfusion.io.bags.log import BagLog
 from tests.support.datasets import DATASETS
 
 pytest.importorskip("rosbags", reason="rosbags comes with the bags extra")

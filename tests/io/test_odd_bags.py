@@ -16,7 +16,7 @@ from rosbags.typesys import Stores, get_typestore
 from slamfusion.config import LogConfig
 from slamfusion.errors import LogError
 from slamfusion.io import open_log
-from slamfusion.io.bags import BagLog
+from slamfusion.io.bags.log import BagLog
 from slamfusion.io.bags.storage import zstd
 from tests.io.bags import _MAKERS, SCAN, TEXT, Bag
 from tests.io.test_regular import packed_bag

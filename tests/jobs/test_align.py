@@ -11,8 +11,8 @@ from slamfusion.align.starts import StartPose
 from slamfusion.errors import MapFileError, StartError
 from slamfusion.geometry import Pose2
 from slamfusion.io import save_map
-from slamfusion.jobs.align import align_maps
-from slamfusion.jobs.records import AlignDocument, Circumstances
+from slamfusion.jobs.align import AlignDocument, align_maps
+from slamfusion.jobs.records import Circumstances
 from slamfusion.json_values import plain
 from tests.fusion.drawings import fusion_config
 from tests.jobs.maps import CONFIG, device, moved

@@ -18,7 +18,8 @@ from slamfusion.cli.program import cli
 from slamfusion.config import RunConfig
 from slamfusion.evaluation.measured import measure_trajectory
 from slamfusion.geometry import Pose2
-from slamfusion.jobs.records import AlignDocument, Circumstances, load_schema
+from slamfusion.jobs.align import AlignDocument
+from slamfusion.jobs.records import Circumstances, load_schema
 from slamfusion.json_values import plain
 from slamfusion.slam.registry import BUILT_IN
 from slamfusion.trajectory import Trajectory

@@ -19,9 +19,9 @@ from slamfusion.evaluation.relations import Relations, relation_errors
 from slamfusion.evaluation.trajectory_error import trajectory_errors
 from slamfusion.fusion.path_check import moved_path, path_gaps
 from slamfusion.geometry import Pose2
-from slamfusion.jobs.fuse_documents import DoubledWalls
+from slamfusion.jobs.fuse_documents import DoubledWalls, Evaluation
 from slamfusion.jobs.fused_path import FusedPath
-from slamfusion.jobs.records import Circumstances, Evaluation
+from slamfusion.jobs.records import Circumstances
 from slamfusion.jobs.run_files import DriveFusion, FailedProducer, LogRun, RunFiles, RunProducer
 from slamfusion.jobs.run_page import run_page, write_run_page
 from slamfusion.palette import NAMED, OTHERS

@@ -31,8 +31,8 @@ from pydantic.json_schema import GenerateJsonSchema
 from slamfusion.evaluation.relations import RelationErrors
 from slamfusion.evaluation.trajectory_error import TrajectoryErrors
 from slamfusion.experiments.page import ExperimentDocument
-from slamfusion.jobs import compare as comparisons
 from slamfusion.jobs import (
+    align,
     doctor,
     evaluate,
     fuse_documents,
@@ -45,6 +45,7 @@ from slamfusion.jobs import (
     simulate,
     trajectory,
 )
+from slamfusion.jobs import compare as comparisons
 from slamfusion.jobs.info import InfoDocument
 from slamfusion.jobs.records import FailureDocument
 from slamfusion.json_values import POSE_KEYS, printed_names
@@ -57,7 +58,7 @@ DIALECT = "https://json-schema.org/draft/2020-12/schema"
 DOCUMENTS: dict[str, tuple[type, ...]] = {
     "run": (run_files.LogRun, run_many.RunsDocument),
     "fuse": (fuse_documents.FuseDocument,),
-    "align": (records.AlignDocument,),
+    "align": (align.AlignDocument,),
     "evaluate": (evaluate.EvaluatedMaps,),
     "simulate": (simulate.SimulatedDrive,),
     "experiment cell-models": (ExperimentDocument,),
@@ -205,7 +206,7 @@ def _required(kind: Any) -> frozenset[str]:
     """Return the keys that a record always has."""
     if not is_dataclass(kind := _keys_of(kind)):
         return frozenset(getattr(kind, "__required_keys__", ()))
-    hints = typing.get_type_hints(kind)
+    hints = _hints(kind)
     found: set[str] = set()
     for item in fields(kind):
         how = item.metadata
@@ -218,6 +219,11 @@ def _required(kind: Any) -> frozenset[str]:
         elif item.repr and "with" not in how:
             found.add(how.get("key", item.name))
     return frozenset(found)
+
+
+def _hints(kind: Any) -> dict[str, Any]:
+    """Return the types of a record's fields, also where its module only names them to checkers."""
+    return typing.get_type_hints(kind, localns={"Evaluation": fuse_documents.Evaluation})
 
 
 def _copied(hint: Any) -> Any:
@@ -235,7 +241,7 @@ def _copied(hint: Any) -> Any:
 def _keys_of(hint: Any) -> Any:
     """Return the type of what a record with a method ``to_json`` prints; other types stay."""
     found = getattr(hint, "to_json", None)
-    return hint if found is None else typing.get_type_hints(found)["return"]
+    return hint if found is None else _hints(found)["return"]
 
 
 def _not_none(hint: Any) -> Any:
@@ -262,7 +268,7 @@ def _keys(kind: type) -> dict[str, tuple[Any, str]]:
             assert isinstance(key.target, ast.Name)
             assert isinstance(text.value, ast.Constant)
             texts[key.target.id] = " ".join(str(text.value.value).split())
-    for key_name, hint in typing.get_type_hints(kind).items():
+    for key_name, hint in _hints(kind).items():
         if own and key_name not in kind.__annotations__:
             continue  # a field of a base, which is there
         printed: Mapping[str, Any] = how.get(key_name, {})

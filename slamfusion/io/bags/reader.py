@@ -15,6 +15,7 @@ from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from slamfusion.errors import LogError, MemoryBudgetError, SlamFusionError
+from slamfusion.io.bags import METADATA, STORAGE_FILES
 from slamfusion.io.yaml_file import read_yaml
 
 if TYPE_CHECKING:
@@ -22,16 +23,10 @@ if TYPE_CHECKING:
 
     from slamfusion.io.bags.storage import Storage, Stored
 
-METADATA = "metadata.yaml"
 SCAN_TYPES = ("sensor_msgs/msg/LaserScan", "sensor_msgs/msg/MultiEchoLaserScan")
 POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
-# Patterns of a bag's storage files in a folder; a bag has one kind.
-STORAGE_FILES = ("*.mcap", "*.db3", "*.mcap.zstd", "*.db3.zstd")
-# First bytes of storage files and of packed ones.
-ROS1_MAGIC, SQLITE_MAGIC, MCAP_MAGIC = b"#ROSBAG V", b"SQLite format 3\0", b"\x89MCAP0\r\n"
 # Errors of a full disk.
 _NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
-ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 # Messages per topic that are read for a description of the frames.
 FRAMES_READ = 1000
 TRANSFORM_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")

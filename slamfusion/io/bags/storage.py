@@ -33,13 +33,8 @@ from rosbags.rosbag2 import storage_mcap as mcap
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from slamfusion.errors import LogError
-from slamfusion.io.bags.reader import (
-    MCAP_MAGIC,
-    ROS1_MAGIC,
-    SQLITE_MAGIC,
-    TRANSFORM_TYPES,
-    ZSTD_MAGIC,
-)
+from slamfusion.io.bags import MCAP_MAGIC, ROS1_MAGIC, SQLITE_MAGIC, ZSTD_MAGIC
+from slamfusion.io.bags.reader import TRANSFORM_TYPES
 from slamfusion.io.files import format_bytes, open_regular
 
 # Limit of an unpacked chunk or message; those of recorders are a thousand times smaller.
