@@ -8,8 +8,9 @@ second, and extrapolates a short way before the first and after the last.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -76,39 +77,42 @@ class JudgedScans:
 
 @dataclass(frozen=True, eq=False)
 class ScanHits:
-    """What paths can be scored on of one scan.
+    """The hits of one scan.
 
     Attributes:
         stamp_s: its time, seconds.
         laser: x and y of the laser in the robot's base frame, metres.
         odometry: pose of the base in the odometry frame; None without.
-        rows: (H, 3) float64, hits about ``SPACING_M`` apart in the base frame, metres, and the
-            direction that the surface faces at each, radians.
+        ends: (B, 2) float64, all hits in the order of the beams, in the base frame, metres.
     """
 
     stamp_s: float
     laser: tuple[float, float]
     odometry: Pose2 | None
-    rows: F64
+    ends: F64
+
+    @cached_property
+    def rows(self) -> F64:
+        """Those that paths are scored on, (H, 3): x and y, metres, and the facing, radians.
+
+        One of each ``SPACING_M`` of a surface: otherwise walls near the robot would dominate, while
+        far ones determine its heading.
+        """
+        facings_rad = surface_facings(self.ends, self.laser)
+        return np.column_stack((self.ends, facings_rad))[spaced(self.ends)]
 
 
-def scan_hits(item: LogScan) -> ScanHits | None:
-    """Return what paths can be scored on of a scan; None where it hit nothing.
-
-    Of the hits of a scan in one square of ``SPACING_M`` the first is kept: otherwise walls near the
-    robot would dominate, while far ones determine its heading.
-    """
-    ends, mount = item.scan.points(), item.scan.mount
-    if not len(ends):
-        return None
-    laser = mount.x, mount.y
-    rows = np.column_stack((ends, surface_facings(ends, laser)))[spaced(ends)]
-    return ScanHits(item.scan.stamp_s, laser, item.odometry, rows)
+def scan_hits(scans: Iterable[LogScan]) -> Iterator[ScanHits]:
+    """Yield the hits of scans; those that hit nothing are left out."""
+    for item in scans:
+        ends, mount = item.scan.points(), item.scan.mount
+        if len(ends):
+            yield ScanHits(item.scan.stamp_s, (mount.x, mount.y), item.odometry, ends)
 
 
 def judged_scans(scans: Iterable[LogScan]) -> JudgedScans:
     """Choose the hits of a log, in the order of time, on which paths are scored."""
-    return judged_hits(hits for item in scans if (hits := scan_hits(item)))
+    return judged_hits(scan_hits(scans))
 
 
 def judged_hits(scans: Iterable[ScanHits], most_hits: int = MOST_HITS) -> JudgedScans:

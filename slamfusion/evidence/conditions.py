@@ -16,7 +16,7 @@ from slamfusion.trajectory import Trajectory
 Condition: TypeAlias = Literal["odometry", "new place", "doubled walls", "undecided"]
 CONDITIONS: tuple[Condition, ...] = get_args(Condition)
 # Odometry is compared with the path over this last time, seconds.
-RECENT_S = 60.0
+RECENT_S = 30.0
 
 
 def drive_conditions(

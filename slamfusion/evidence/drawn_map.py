@@ -13,7 +13,7 @@ another SLAM saved contains scans outside of this log, so it votes.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -27,11 +27,10 @@ from slamfusion.compute.hit_counts import BeamScan, halve_counts
 from slamfusion.compute.layout import MOST_BEAMS, OPEN, TILE, WALL
 from slamfusion.config import FusionConfig
 from slamfusion.errors import TrajectoryError
-from slamfusion.evidence.beams import no_common_time
+from slamfusion.evidence.beams import ScanHits, no_common_time
 from slamfusion.fusion.lattice_vote import warp_onto
 from slamfusion.geometry import F64, Pose2, moved_poses, transform_points
 from slamfusion.grid import FREE, IDENTITY, OCCUPIED, UNKNOWN, CellBox, OccupancyGrid, known_box
-from slamfusion.io import LogScan
 from slamfusion.slam.common.tile_map import SharedTileMaps
 from slamfusion.trajectory import Trajectory
 from slamfusion.vote.boxes import hull
@@ -52,35 +51,8 @@ BEYOND_M = 0.2
 LEAST_AREA_M2 = 0.2
 
 
-@dataclass(frozen=True, eq=False)
-class DrawnScan:
-    """A scan as it is drawn.
-
-    Attributes:
-        stamp_s: its time, seconds.
-        laser: (2,) float64, the laser in the robot's frame, metres.
-        ends: (B, 2) float64, hits in the robot's frame, metres.
-    """
-
-    stamp_s: float
-    laser: F64
-    ends: F64
-
-
-def drawn_scans(scans: Iterable[LogScan]) -> list[DrawnScan]:
-    """Return the scans of a log as they are drawn; those without a hit are left out."""
-    drawn = []
-    for item in scans:
-        ends = item.scan.points()
-        if len(ends):
-            laser = np.array((item.scan.mount.x, item.scan.mount.y))
-            every = -(-len(ends) // MOST_BEAMS)
-            drawn.append(DrawnScan(item.scan.stamp_s, laser, ends[::every]))
-    return drawn
-
-
 def draw_map(
-    scans: Sequence[DrawnScan],
+    scans: Sequence[ScanHits],
     path: Trajectory,
     device: ComputeDevice,
     *,
@@ -132,26 +104,26 @@ class _Beams:
     firsts: npt.NDArray[np.int64]
 
     @classmethod
-    def of(cls, scans: Sequence[DrawnScan], poses: F64, resolution: float) -> _Beams:
+    def of(cls, scans: Sequence[ScanHits], poses: F64, resolution: float) -> _Beams:
         """Place scans at (N, 3) poses on the lattice."""
-        sizes = np.array([len(scan.ends) for scan in scans])
+        hits = [scan.ends[:: -(-len(scan.ends) // MOST_BEAMS)] for scan in scans]
+        sizes = np.array([len(own) for own in hits])
         of = np.repeat(np.arange(len(scans)), sizes)
-        ends = np.concatenate([scan.ends for scan in scans])
-        lasers = np.stack([scan.laser for scan in scans])
+        lasers = np.array([scan.laser for scan in scans])
 
         def in_cells(points: F64) -> F64:
             return np.asarray(np.rint(points / resolution * POINT_PARTS) / POINT_PARTS)
 
         return cls(
             in_cells(transform_points(poses, lasers)),
-            in_cells(transform_points(poses, ends, of)),
+            in_cells(transform_points(poses, np.concatenate(hits), of)),
             np.concatenate(([0], np.cumsum(sizes))).astype(np.int64),
         )
 
 
 def _with_poses(
-    scans: Sequence[DrawnScan], path: Trajectory, origin: Pose2
-) -> tuple[list[DrawnScan], F64]:
+    scans: Sequence[ScanHits], path: Trajectory, origin: Pose2
+) -> tuple[list[ScanHits], F64]:
     """Return the scans that have a pose, and these poses on the lattice, (N, 3)."""
     stamps_s = np.array([scan.stamp_s for scan in scans])
     if not len(scans) or not len(path):

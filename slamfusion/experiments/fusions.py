@@ -20,8 +20,8 @@ from slamfusion.config import FusionConfig, RunConfig, TrajectoryConfig, VoteMod
 from slamfusion.errors import GridError, SlamFusionError
 from slamfusion.evaluation.map_error import MapError, compare_to_truth
 from slamfusion.evaluation.trajectory_error import trajectory_errors
-from slamfusion.evidence.beams import judged_scans
-from slamfusion.evidence.drawn_map import draw_map, drawn_scans
+from slamfusion.evidence.beams import judged_scans, scan_hits
+from slamfusion.evidence.drawn_map import draw_map
 from slamfusion.evidence.predictive import PathEvidence
 from slamfusion.evidence.recommendation import choose_path
 from slamfusion.experiments.runs import Tell
@@ -154,7 +154,7 @@ def fuse_in_every_way(
     if fused is not None:
         paths[FUSED_PATH] = fused
     if drawn_cell_m is not None:
-        rays = drawn_scans(scans)
+        rays = [*scan_hits(scans)]
         for name in (*BUILT_IN, *saved_paths, FUSED_PATH):
             method = DRAWN if name == FUSED_PATH else drawn_at(name)
             if name in paths:

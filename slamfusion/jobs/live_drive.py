@@ -16,7 +16,7 @@ import math
 import threading
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, NamedTuple, TypeAlias, get_args
+from typing import Literal, TypeAlias, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -34,7 +34,7 @@ from slamfusion.evidence.beams import (
     scan_hits,
 )
 from slamfusion.evidence.conditions import Condition, drive_conditions
-from slamfusion.evidence.drawn_map import DrawnScan, draw_map, drawn_scans
+from slamfusion.evidence.drawn_map import draw_map
 from slamfusion.evidence.fused_path import visits
 from slamfusion.evidence.parting import parted, path_gaps
 from slamfusion.evidence.patches import LEAST_HITS, ScanMatch, WallMap
@@ -142,13 +142,6 @@ class DriveSolution:
         return {name: motion for name, motion in motions.items() if name not in doubts}
 
 
-class _Kept(NamedTuple):
-    """A scan as it is scored, and as it is drawn."""
-
-    hits: ScanHits
-    drawn: DrawnScan
-
-
 class LiveDrive:
     """Keeps scans and poses from any thread and solves the drive; ``solve`` is for one thread."""
 
@@ -157,7 +150,7 @@ class LiveDrive:
         self._device = device
         self._lock = threading.Lock()
         self._generation = 0
-        self._scans: list[_Kept] = []
+        self._scans: list[ScanHits] = []
         # By input: stamp, x, y and yaw of each pose.
         self._poses: dict[str, list[list[float]]] = {}
         # Stamps of the scans with too few hits for a pose.
@@ -181,13 +174,13 @@ class LiveDrive:
 
     def add_scan(self, item: LogScan) -> None:
         """Take a scan, deskewed, with the odometry at its stamp if there is any."""
-        hits, drawn = scan_hits(item), drawn_scans([item])
+        hits = next(scan_hits([item]), None)
         with self._lock:
             if hits is None or len(hits.rows) < LEAST_SEEN:
                 self._blind_s.append(item.scan.stamp_s)
             if hits is None:
                 return
-            last = self._scans[-1].hits if self._scans else None
+            last = self._scans[-1] if self._scans else None
             if last is not None and hits.stamp_s <= last.stamp_s:
                 if hits.stamp_s > last.stamp_s - BACK_S:
                     return
@@ -197,7 +190,7 @@ class LiveDrive:
                 if hits.odometry is None:
                     return
                 self._scans.clear()
-            self._scans.append(_Kept(hits, *drawn))
+            self._scans.append(hits)
             if len(self._scans) > MOST_SCANS:
                 self._thin_out()
 
@@ -245,7 +238,7 @@ class LiveDrive:
         path = solution.path
         with self._lock:
             self._walls = self._grown = solution.walls
-            recent = [one.hits for one in self._scans[-2 * LEAST_SCANS :]]
+            recent = self._scans[-2 * LEAST_SCANS :]
             near, meets = path.matches(np.array([own.stamp_s for own in recent]))
             self._located = [(recent[at], path.poses[near[at]]) for at in np.flatnonzero(meets)]
             self._corrections = {
@@ -262,7 +255,7 @@ class LiveDrive:
         """
         with self._lock:
             solved, grown, last = self._walls, self._grown, self._corrections.get(name)
-            recent = (one.hits for one in self._scans[: -LEAST_SCANS - 1 : -1])
+            recent = self._scans[: -LEAST_SCANS - 1 : -1]
             scan = next((own for own in recent if abs(own.stamp_s - stamp_s) <= SAME_STAMP_S), None)
             located = self._located[-1][1] if self._located else None
         if last is None:
@@ -305,11 +298,11 @@ class LiveDrive:
 
     def _thin_out(self) -> None:
         """Drop every second scan before the window, and the poses that belong to none."""
-        stamps_s = np.array([kept.hits.stamp_s for kept in self._scans])
+        stamps_s = np.array([kept.stamp_s for kept in self._scans])
         old = int(np.searchsorted(stamps_s, stamps_s[-1] - WINDOW_S))
         old = max(old, MOST_SCANS // 2)
         self._scans = self._scans[:old:2] + self._scans[old:]
-        kept_s = np.array([kept.hits.stamp_s for kept in self._scans])
+        kept_s = np.array([kept.stamp_s for kept in self._scans])
         after = np.searchsorted(kept_s[:-1], self._blind_s)
         self._blind_s = np.unique(kept_s[after]).tolist()
         for name, own in self._poses.items():
@@ -346,9 +339,7 @@ class LiveDrive:
             blind_s = np.array(self._blind_s)
         if len(kept) < CHUNKS:
             return None
-        scans = judged_hits(
-            (one.hits for one in kept), beams.MOST_HITS if depth == "final" else MOST_HITS
-        )
+        scans = judged_hits(kept, beams.MOST_HITS if depth == "final" else MOST_HITS)
         paths = self._at_scans(scans, poses)
         is_whole = depth != "window" or self._path is None
         try:
@@ -372,7 +363,7 @@ class LiveDrive:
         if resolution is not None:
             self._lattice = own_lattice
             drawn = draw_map(
-                [one.drawn for one in kept],
+                kept,
                 path,
                 self._device,
                 resolution=own_lattice.resolution,
@@ -393,14 +384,14 @@ class LiveDrive:
         )
 
     def _continued(
-        self, kept: Sequence[_Kept], paths: Mapping[str, Trajectory]
+        self, kept: Sequence[ScanHits], paths: Mapping[str, Trajectory]
     ) -> tuple[Trajectory, PathEvidence | None] | None:
         """Solve the last seconds, and what was not solved yet, by the inputs that are right."""
         assert self._path is not None  # noqa: S101  (there is what is continued)
-        stamps_s = [one.hits.stamp_s for one in kept[-LEAST_SCANS:]]
+        stamps_s = [one.stamp_s for one in kept[-LEAST_SCANS:]]
         solved_s = float(self._path.stamps_s[-1])
         first_s = min(stamps_s[0], stamps_s[-1] - WINDOW_S, solved_s - 0.5 * WINDOW_S)
-        hits = [one.hits for one in kept if one.hits.stamp_s >= first_s]
+        hits = [one for one in kept if one.stamp_s >= first_s]
         last = {name: _part(own, first_s - SAME_STAMP_S, np.inf) for name, own in paths.items()}
         last = {name: own for name, own in last.items() if len(own) >= CHUNKS}
         right = {name: own for name, own in last.items() if name not in self._doubts}

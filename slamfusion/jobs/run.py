@@ -20,8 +20,8 @@ from slamfusion.config import RunConfig
 from slamfusion.errors import AlignmentError, SlamFusionError, TrajectoryError
 from slamfusion.evaluation.measured import MeasuredPath, Measures, Yardsticks
 from slamfusion.evaluation.trajectory_error import on_clock
-from slamfusion.evidence.beams import JudgedScans, judged_scans
-from slamfusion.evidence.drawn_map import DrawnScan, draw_map, drawn_scans, fuse_with_drawn
+from slamfusion.evidence.beams import JudgedScans, ScanHits, judged_scans, scan_hits
+from slamfusion.evidence.drawn_map import draw_map, fuse_with_drawn
 from slamfusion.evidence.predictive import PathEvidence, score_paths, with_path
 from slamfusion.evidence.recommendation import Recommendation, recommend
 from slamfusion.fusion.groups import LEAST_FUSED
@@ -144,7 +144,7 @@ def run_log(  # noqa: PLR0915 - one page, a heading a stage
     runs = {item.name: item.run for item in outcomes if item.run is not None}
     grids = (*(run.grid for run in runs.values()), *others)
     paths = {name: run.trajectory for name, run in runs.items() if len(run.trajectory)}
-    scans = cache(lambda: drawn_scans(work.source))
+    scans = cache(lambda: [*scan_hits(work.source)])
     wheels = next((run.odometry for run in runs.values()), None)
     their_paths = {
         name: on_clock(path, wheels, config.trajectory.time_offset)
@@ -452,7 +452,7 @@ def voting_config(config: RunConfig) -> RunConfig:
 
 
 def draw_run(
-    scans: Callable[[], Sequence[DrawnScan]],
+    scans: Callable[[], Sequence[ScanHits]],
     path: FusedPath | None,
     fusion: DriveFusion,
     saved: Collection[str],

@@ -25,8 +25,8 @@ from slamfusion.compute import ComputeDevice, open_device
 from slamfusion.config import RunConfig
 from slamfusion.evaluation.doubled_walls import doubled_wall_share
 from slamfusion.evaluation.measured import Yardsticks, measure_trajectory
-from slamfusion.evidence.beams import judged_scans
-from slamfusion.evidence.drawn_map import draw_map, drawn_scans
+from slamfusion.evidence.beams import judged_scans, scan_hits
+from slamfusion.evidence.drawn_map import draw_map
 from slamfusion.evidence.fused_path import fuse_paths, trust_in_paths
 from slamfusion.evidence.path_frames import consensus_poses, lay_paths
 from slamfusion.evidence.predictive import score_paths
@@ -137,7 +137,7 @@ def judge(name: str, datasets: Path, runs: Path, device: ComputeDevice) -> Itera
         odometry=datasets / recording.odometry if recording.odometry else None,
     )
     wheels = judged_scans(scans).odometry_path()
-    odd_scans, drawn = judged_scans(odd), drawn_scans(odd)
+    odd_scans, drawn = judged_scans(odd), [*scan_hits(odd)]
     odd_scores = score_paths(odd_scans, found, device).scores
     for candidate, path in found.items():
         own = at_scans(path, odd_scans.stamps_s)

@@ -20,8 +20,8 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
 from slamfusion.evaluation.map_error import MapError
-from slamfusion.evidence.beams import judged_scans
-from slamfusion.evidence.drawn_map import draw_map, drawn_scans
+from slamfusion.evidence.beams import judged_scans, scan_hits
+from slamfusion.evidence.drawn_map import draw_map
 from slamfusion.evidence.patches import ScanMatch
 from slamfusion.evidence.path_frames import fit_frame, moved_onto
 from slamfusion.evidence.predictive import score_paths
@@ -156,7 +156,7 @@ def bent(told: ToldDrive, names: Sequence[str], device: ComputeDevice) -> tuple[
     away = [Pose2(*a).compose(Pose2(*b).inverse()) for a, b in zip(poses, right, strict=True)]
     first = Pose2(*right[0])
     frames = {name: first.compose(told.told[0].poses[name].inverse()) for name in names}
-    rays, drawn_s, out = drawn_scans(scans), -np.inf, []
+    rays, drawn_s, out = [*scan_hits(scans)], -np.inf, []
     rows: dict[str, list[tuple[float, float, float]]] = {name: [] for name in names}
     for index, (now_s, one) in enumerate(zip(stamps_s, told.told, strict=True)):
         own = {name: away[index].compose(frames[name].compose(one.poses[name])) for name in names}
@@ -294,7 +294,7 @@ def as_run(
     evidence = score_paths(judged_scans(told.drive.scans), paths, device)
     path = fuse_weighed_paths(paths, evidence, device)[0].trajectory
     path, lattice = moved_onto(path, [live.path]), live.evidence.lattice
-    rays, size = drawn_scans(told.drive.scans), lattice.resolution
+    rays, size = [*scan_hits(told.drive.scans)], lattice.resolution
     return path, draw_map(rays, path, device, resolution=size, origin=lattice.origin)
 
 

@@ -10,7 +10,8 @@ import pytest
 
 from slamfusion.compute import ComputeDevice, NumpyDevice, open_device
 from slamfusion.errors import TrajectoryError
-from slamfusion.evidence.drawn_map import DrawnScan, draw_map
+from slamfusion.evidence.beams import ScanHits
+from slamfusion.evidence.drawn_map import draw_map
 from slamfusion.geometry import Pose2, compose_poses, transform_points
 from slamfusion.grid import FREE, OCCUPIED, OccupancyGrid
 from slamfusion.trajectory import Trajectory
@@ -41,14 +42,14 @@ def to_walls(pose: np.ndarray, angles: np.ndarray) -> np.ndarray:
     return np.minimum(across, along)
 
 
-def seen(poses: np.ndarray) -> list[DrawnScan]:
+def seen(poses: np.ndarray) -> list[ScanHits]:
     """What a laser in the robot's middle sees of the room."""
     scans = []
     bearings = np.linspace(-np.pi, np.pi, BEAMS, endpoint=False) + 0.003
     for index, pose in enumerate(poses):
         ranges = to_walls(pose, bearings + pose[2])
         ends = np.stack((ranges * np.cos(bearings), ranges * np.sin(bearings)), axis=1)
-        scans.append(DrawnScan(0.1 * index, np.zeros(2), ends))
+        scans.append(ScanHits(0.1 * index, (0.0, 0.0), None, ends))
     return scans
 
 
@@ -56,7 +57,7 @@ def path(poses: np.ndarray) -> Trajectory:
     return Trajectory(0.1 * np.arange(len(poses)), poses, "path")
 
 
-def draw(scans: list[DrawnScan], poses: np.ndarray, **options: object) -> OccupancyGrid:
+def draw(scans: list[ScanHits], poses: np.ndarray, **options: object) -> OccupancyGrid:
     return draw_map(scans, path(poses), device(), resolution=0.05, **options)
 
 
@@ -67,7 +68,7 @@ def at(grid: OccupancyGrid, x: float, y: float) -> int:
     return int(grid.cells[row, col]) if inside else -1
 
 
-def replaced(scan: DrawnScan, beams: slice, ranges_m: float) -> DrawnScan:
+def replaced(scan: ScanHits, beams: slice, ranges_m: float) -> ScanHits:
     """Return a scan some of whose beams end elsewhere."""
     ends = scan.ends.copy()
     ends[beams] *= (ranges_m / np.hypot(*ends[beams].T))[:, None]

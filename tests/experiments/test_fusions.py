@@ -6,7 +6,8 @@ import numpy as np
 
 from slamfusion.compute import open_device
 from slamfusion.config import RunConfig
-from slamfusion.evidence.drawn_map import draw_map, drawn_scans
+from slamfusion.evidence.beams import scan_hits
+from slamfusion.evidence.drawn_map import draw_map
 from slamfusion.experiments.fusions import (
     CHOICE,
     FUSED_PATH,
@@ -44,7 +45,7 @@ def test_a_producer_that_fails_is_named_and_the_others_go_on() -> None:
 
 
 def test_a_harmed_producer_is_also_left_out_of_the_votes_and_bends_no_fused_path() -> None:
-    device, scans = open_device(), drawn_scans(SCANS)
+    device, scans = open_device(), [*scan_hits(SCANS)]
     maps = {
         name: draw_map(scans, path, device, resolution=0.05, name=name)
         for name, path in PATHS.items()

@@ -10,7 +10,8 @@ import pytest
 from slamfusion.compute import NumpyDevice, open_device
 from slamfusion.config import RunConfig
 from slamfusion.errors import ConfigError, SlamFusionError
-from slamfusion.evidence.drawn_map import draw_map, drawn_scans
+from slamfusion.evidence.beams import scan_hits
+from slamfusion.evidence.drawn_map import draw_map
 from slamfusion.experiments.fusions import FUSED_PATH, FUSIONS, drawn_at
 from slamfusion.experiments.real_logs import (
     REAL_LOGS,
@@ -99,7 +100,7 @@ def test_another_slam_takes_part_with_its_path(
     write_carmen(tmp_path / "flat.log", scans)
     write_tum(tmp_path / "flat.tum", true)
     device, moved = open_device("auto"), moved_path(true, Pose2(4.0, 1.0, 0.5))
-    grid = draw_map(drawn_scans(scans), moved, device, resolution=0.05, name="karto")
+    grid = draw_map([*scan_hits(scans)], moved, device, resolution=0.05, name="karto")
     save_map(grid, tmp_path / "karto_flat")
     write_tum(tmp_path / "karto_flat.tum", moved)
     monkeypatch.setitem(REAL_LOGS, "flat", RealLog("flat.log", "flat.tum", "the truth"))

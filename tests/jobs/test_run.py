@@ -12,8 +12,7 @@ from scipy.spatial import KDTree
 from slamfusion.compute import NumpyDevice
 from slamfusion.errors import AlignmentError, ConfigError, SlamFusionError, StartError
 from slamfusion.evaluation.distances import wall_centres
-from slamfusion.evidence.beams import judged_scans
-from slamfusion.evidence.drawn_map import drawn_scans
+from slamfusion.evidence.beams import judged_scans, scan_hits
 from slamfusion.evidence.predictive import score_paths
 from slamfusion.fusion.path_check import moved_path
 from slamfusion.geometry import Pose2
@@ -294,7 +293,7 @@ def test_a_path_belongs_to_a_saved_map(place: Path) -> None:
 
 
 def test_where_nothing_can_be_drawn_the_maps_vote(place: Path) -> None:
-    scans = drawn_scans(open_log(place / "flat.log"))
+    scans = [*scan_hits(open_log(place / "flat.log"))]
     a_map = written_map("a", "|#..#|")
     vote = DriveFusion((), fits(a_map, a_map.with_name("b")))
     late = Trajectory(np.array([1e6, 1e6 + 1.0]), np.zeros((2, 3)), "fused")

@@ -17,7 +17,8 @@ from sensor_msgs.msg import LaserScan
 from std_srvs.srv import Trigger
 
 from slamfusion.compute import NumpyDevice
-from slamfusion.evidence.drawn_map import draw_map, drawn_scans
+from slamfusion.evidence.beams import scan_hits
+from slamfusion.evidence.drawn_map import draw_map
 from slamfusion.geometry import Pose2
 from slamfusion.io import read_trajectory
 from slamfusion.ros import messages, qos
@@ -44,7 +45,7 @@ def test_scans_say_who_is_wrong_and_the_map_is_drawn_from_them(
     scans, truth = drive(SCANS)
     rows = np.array([(pose.x, pose.y, pose.yaw_rad) for pose in truth])
     path = Trajectory([item.scan.stamp_s for item in scans], rows)
-    grid = draw_map(drawn_scans(scans), path, NumpyDevice(), resolution=0.05)
+    grid = draw_map([*scan_hits(scans)], path, NumpyDevice(), resolution=0.05)
     maps = observer.collect(OccupancyGrid, "fused/map", qos.MAP)
     poses = observer.collect(PoseWithCovarianceStamped, "fused/pose")
     paths = observer.collect(PathMessage, "fused/path", qos.MAP)
