@@ -134,7 +134,7 @@ class DistanceComparison:
 
 def compare_distances(
     grid: OccupancyGrid,
-    distances: str | Path | Sequence[MeasuredDistance],
+    distances: Sequence[MeasuredDistance],
     *,
     normalize: NormalizeConfig = _DEFAULT_NORMALIZE,
     search_radius_m: float = 0.5,
@@ -143,17 +143,12 @@ def compare_distances(
 
     Args:
         grid: in the frame of the measured points.
-        distances: a file for ``load_distances``, or its rows.
         search_radius_m: a wall farther than this from its point does not count.
-
-    Raises:
-        MapFileError: the file cannot be read as distances.
     """
-    rows = load_distances(distances) if isinstance(distances, (str, Path)) else tuple(distances)
     walls = wall_centres(trinary_cells(grid.cells, normalize), grid)
     tree = scipy.spatial.KDTree(walls) if walls.shape[0] else None
     compared = []
-    for row in rows:
+    for row in distances:
         ends = []
         reason = ""
         for index, point in enumerate((row.point1, row.point2), start=1):

@@ -15,7 +15,7 @@ import scipy
 
 from slamfusion.errors import TrajectoryError
 from slamfusion.evaluation.trajectory_error import associate
-from slamfusion.geometry import F64, Pose2, compose_poses, fit_motion, invert_poses
+from slamfusion.geometry import F64, Pose2, compose_poses, fit_motion, invert_poses, moved_poses
 from slamfusion.grid import IDENTITY
 from slamfusion.trajectory import Trajectory
 
@@ -76,7 +76,7 @@ def match_odometry(
         TrajectoryError: no scan has a row.
     """
     frame = _fit_frame(scan_odometry, odometry, tolerance_m)
-    tree = scipy.spatial.KDTree(_features(compose_poses(_array(frame), odometry.poses)))
+    tree = scipy.spatial.KDTree(_features(moved_poses(frame, odometry.poses)))
     near = tree.query_ball_point(_features(scan_odometry.poses), tolerance_m, return_sorted=True)
     candidates = [
         rows[np.abs(odometry.stamps_s[rows] - stamp_s) <= _WINDOW_S]
@@ -232,7 +232,7 @@ def _fit_frame(scan_odometry: Trajectory, odometry: Trajectory, tolerance_m: flo
                 frame = Pose2(*(float(value) for value in candidate))
     last: I64 = np.full(len(scans), -1, dtype=np.int64)
     for _ in range(_FITS):
-        found = tree.query(_features(compose_poses(_array(frame.inverse()), scans)))
+        found = tree.query(_features(moved_poses(frame.inverse(), scans)))
         distance, nearest = np.asarray(found[0]), np.asarray(found[1], dtype=np.int64)
         if np.array_equal(nearest, last):
             break
@@ -246,7 +246,3 @@ def _features(poses: F64) -> F64:
     """Return poses as points whose distance adds metres and radians (small angles)."""
     yaw_rad = poses[..., 2:]
     return np.concatenate((poses[..., :2], np.cos(yaw_rad), np.sin(yaw_rad)), axis=-1)
-
-
-def _array(pose: Pose2) -> F64:
-    return np.array((pose.x, pose.y, pose.yaw_rad))

@@ -16,11 +16,11 @@ import numpy as np
 from slamfusion.align.records import Alignment, FusionResult, InputRecord, StoredFusion
 from slamfusion.align.starts import Starts, place_starts
 from slamfusion.compute import ComputeDevice
-from slamfusion.config import FusionConfig, RunConfig
+from slamfusion.config import RunConfig
 from slamfusion.errors import AlignmentError, SlamFusionError
 from slamfusion.fusion import fuse_grids
 from slamfusion.fusion.groups import LEAST_FUSED
-from slamfusion.fusion.lattice_vote import LatticeVote, contradicting, decide_tile, prepare_votes
+from slamfusion.fusion.lattice_vote import contradicting, decide_tile, prepare_votes
 from slamfusion.fusion.pipeline import align_inputs
 from slamfusion.grid import OCCUPIED, OccupancyGrid
 from slamfusion.io import AtomicFiles, save_map, write_atomic
@@ -248,23 +248,38 @@ def _fuse_into(
         aligned.groups, aligned.lattices, fusion, device, executor, progress, is_stored=True
     )
     others = {**aligned.others, **contradicting(grids, aligned.groups[0], votes[0], votes[1:])}
-    stores = group_stores(store, len(votes))
+    stores, task = group_stores(store, len(votes)), partial(decide_tile, device=device)
     results: list[StoredFusion] = []
-    stems: list[Path | None] = []
-    with ExitStack() as stack:
+    # Each store is put in place when all are written.
+    with ExitStack() as open_stores:
         for vote, path in zip(votes, stores, strict=True):
+            size, origin, shape = vote.voter.resolution, vote.origin, vote.extent.shape
+            facts = {"reference": vote.group.reference, "inputs": list(vote.group.alignments)}
+            arrays = MapStore(path, (FUSED, AGREEMENT_ARRAY), shape, TILE, size, origin, facts)
+            opened, phantom_cells, worst = open_stores.enter_context(arrays), 0, []
+            for box, decided in vote.each(task, "vote", executor, progress):
+                if decided is not None:
+                    cells = np.where(decided.fused == 1, np.int8(OCCUPIED), decided.fused)
+                    opened.write(FUSED, box, cells)
+                    opened.write(AGREEMENT_ARRAY, box, decided.agreement)
+                    phantom_cells += decided.phantom_cells
+                    worst.append(decided.worst)
             records = vote.records(grids, {} if results else others)
-            results.append(
-                _vote_into(stack, vote, records, path, fusion, device, executor, progress)
-            )
-    for result, path in zip(results, stores, strict=True):
-        is_small = result.shape[0] * result.shape[1] <= FILES_CELLS
-        stems.append(path.with_suffix("") if is_small else None)
-        if is_small:
-            _write_files(path, path.with_suffix(""))
+            outcome = vote.outcome(records, phantom_cells, worst, fusion, device)
+            results.append(StoredFusion(**outcome, shape=shape, resolution=size, origin=origin))
+    stems = tuple(
+        path.with_suffix("") if result.shape[0] * result.shape[1] <= FILES_CELLS else None
+        for result, path in zip(results, stores, strict=True)
+    )
+    for path, stem in zip(stores, stems, strict=True):
+        if stem is not None:
+            with AtomicFiles():
+                save_map(read_stored_map(path, FUSED), stem)
+                agreement = read_stored_map(path, AGREEMENT_ARRAY)
+                save_map(agreement, agreement_stem(stem), mode="raw")
     time_s = time.perf_counter() - began_s
     whole = replace(results[0], pairs=aligned.pairs, others=tuple(results[1:]), time_s=time_s)
-    fused = FusedMaps(config, whole, None, (), given, stores, tuple(stems))
+    fused = FusedMaps(config, whole, None, (), given, stores, stems)
     if stems[0] is not None:
         write_atomic(record_file(stems[0]), record_bytes(fused.document()))
     return fused
@@ -279,49 +294,10 @@ def _require_all(
         raise AllRequiredError(rejected, pairs, result)
 
 
-def _vote_into(
-    open_stores: ExitStack,
-    vote: LatticeVote,
-    inputs: tuple[InputRecord, ...],
-    path: Path,
-    config: FusionConfig,
-    device: ComputeDevice,
-    executor: Executor | None,
-    progress: Progress | None,
-) -> StoredFusion:
-    """Hold the vote of a group; its store is put in place when all are written."""
-    size, origin, shape = vote.voter.resolution, vote.origin, vote.extent.shape
-    group = vote.group
-    facts = {"reference": group.reference, "inputs": list(group.alignments)}
-    names = (FUSED, AGREEMENT_ARRAY)
-    opened = open_stores.enter_context(MapStore(path, names, shape, TILE, size, origin, facts))
-    phantom_cells, worst, task = 0, [], partial(decide_tile, device=device)
-    for box, decided in vote.each(task, "vote", executor, progress):
-        if decided is not None:
-            fused = np.where(decided.fused == 1, np.int8(OCCUPIED), decided.fused)
-            opened.write(FUSED, box, fused)
-            opened.write(AGREEMENT_ARRAY, box, decided.agreement)
-            phantom_cells += decided.phantom_cells
-            worst.append(decided.worst)
-    return StoredFusion(
-        **vote.outcome(inputs, phantom_cells, worst, config, device),
-        shape=shape,
-        resolution=size,
-        origin=origin,
-    )
-
-
 def group_stores(store: Path, count: int) -> tuple[Path, ...]:
     """Return the stores of groups: OUT.zarr, OUT-2.zarr ..."""
     stems = group_stems(store.with_suffix(""), count)
     return tuple(stem.with_name(stem.name + store.suffix) for stem in stems)
-
-
-def _write_files(store: Path, stem: Path) -> None:
-    with AtomicFiles():
-        save_map(read_stored_map(store, FUSED), stem)
-        agreement = read_stored_map(store, AGREEMENT_ARRAY)
-        save_map(agreement, agreement_stem(stem), mode="raw")
 
 
 # --- files ------------------------------------------------------------------------------------

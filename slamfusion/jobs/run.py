@@ -180,13 +180,14 @@ def run_log(  # noqa: PLR0915 - one page, a heading a stage
             starts=starts,
         )
         failure = _why_not_fused(fusion, outcomes, len(others), config)
+        fusion = replace(fusion, failure=failure)
 
     # Align the fused path with the fused map, and recommend a map and a path.
     with stages.timed("path"):
-        if fusion.result is None or failure is not None:
+        if fusion.usable is None:
             fused_path = None
         elif fused_path is not None:
-            fused_path = fused_path.in_fused_frame(paths, fusion.result)
+            fused_path = fused_path.in_fused_frame(paths, fusion.usable)
             own = stages.measured(
                 "the fused path", held.measure, fused_path.trajectory, config, wheels
             )
@@ -194,12 +195,10 @@ def run_log(  # noqa: PLR0915 - one page, a heading a stage
     with stages.timed("evidence"):
         if fused_path is not None:
             evidence = with_fused
-        is_fused = fusion.result is not None and failure is None
-        answer = _recommend(paths, evidence, fused_path, fusion, wheels, device, is_fused=is_fused)
-    if answer is not None and failure is not None and failure is fusion.failure:
+        answer = _recommend(paths, evidence, fused_path, fusion, wheels, device)
+    if answer is not None and fusion.result is None and isinstance(failure, AlignmentError):
         words = f"{failure}; the fallback map is that of {answer.use}"
-        failure = AlignmentError(words, fusion.pairs)
-    fusion = replace(fusion, failure=failure)
+        fusion = replace(fusion, failure=AlignmentError(words, fusion.pairs))
 
     # Draw the map of all scans at the fused path, as the fused one or next to it.
     drawn, why_voted = None, None
@@ -425,11 +424,10 @@ def _recommend(
     fusion: DriveFusion,
     wheels: Trajectory | None,
     device: ComputeDevice,
-    *,
-    is_fused: bool,
 ) -> Recommendation | None:
     """Say which map and path to use; None if there is no map."""
     fallback = None if fusion.fallback is None else fusion.fallback.name
+    is_fused = fusion.usable is not None
     every = paths if fused_path is None else {**paths, FUSED: fused_path.trajectory}
     if evidence is not None:
         found = recommend(evidence, tuple(paths), device, fused=FUSED, frames=every)

@@ -57,7 +57,7 @@ def test_csv_and_yaml_hold_the_same_rows(tmp_path: Path, corridor: OccupancyGrid
         "- {name: row 4, x1: 0.05, y1: -1, x2: 3.05, y2: -1, distance_m: 3}\n"
     )
     assert load_distances(csv_file) == load_distances(yaml_file)
-    result = compare_distances(corridor, csv_file)
+    result = compare_distances(corridor, load_distances(csv_file))
     assert [row.name for row in result.rows] == ["hall", "row 4"]
     assert result.mean_absolute_error_m == pytest.approx(0.0)
 
