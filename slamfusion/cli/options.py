@@ -94,11 +94,9 @@ def file(
     return click.option(name, parameter, type=kind, metavar=metavar, help=text)
 
 
-def output(
-    *names: str, files: Files = lambda path, _: [path], required: bool = False, **words: str
-) -> Callable[[F], F]:
+def output(*names: str, files: Files = lambda path, _: [path], **more: Any) -> Callable[[F], F]:
     """Return the option of a command that says where something is written."""
-    return click.option(*names, type=OutputPath(files), required=required, **words)  # type: ignore[arg-type]
+    return click.option(*names, type=OutputPath(files), **more)
 
 
 def check_picture(name: str, path: Path | None) -> None:

@@ -24,25 +24,23 @@ F = TypeVar("F", bound=Callable[..., Any])
 SUFFIX = ".zip"
 
 
-def results_option(function: F) -> F:
-    """Give a command ``--save-results``, which it then hands to ``save_results``."""
-    option = options.output(
-        "--save-results",
-        "results_path",
-        metavar="FILE.zip",
-        help="Save all results, settings and the SHA-256 of the inputs, for `slamfusion compare`.",
-    )
+def _zip_file(_: click.Context, __: click.Parameter, path: Path | None) -> Path | None:
+    """Refuse another kind of file, or a missing extra, before any work."""
+    if path is not None:
+        if path.suffix.lower() != SUFFIX:
+            raise click.BadParameter(f"{path}: wanted a name that ends in {SUFFIX}")
+        import slamfusion.jobs.results  # noqa: F401, PLC0415  (says what to install)
+    return path
 
-    @functools.wraps(function)
-    def wrapper(*arguments: Any, results_path: Path | None, **given: Any) -> Any:
-        if results_path is not None:
-            if results_path.suffix.lower() != SUFFIX:
-                message = f"{results_path}: wanted a name that ends in {SUFFIX}"
-                raise click.BadParameter(message, param_hint="'--save-results'")
-            import slamfusion.jobs.results  # noqa: F401, PLC0415  (says what to install)
-        return function(*arguments, results_path=results_path, **given)
 
-    return option(wrapper)  # type: ignore[return-value]
+# Of a command that hands its value to ``save_results``.
+results_option = options.output(
+    "--save-results",
+    "results_path",
+    callback=_zip_file,
+    metavar="FILE.zip",
+    help="Save all results, settings and the SHA-256 of the inputs, for `slamfusion compare`.",
+)
 
 
 def save_results(

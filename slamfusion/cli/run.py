@@ -400,14 +400,9 @@ def _run_several(
     if failed := [f"{run.name}: {run.error}" for run in runs if run.error is not None]:
         words = "; ".join(failed)
         reasons.append(f"{len(failed)} of {len(runs)} logs have no fused map ({words})")
-    unmeasured = [
-        f"{run.name}: {', '.join(run.not_measured)}"
-        for run in runs
-        if run.error is None and run.not_measured
-    ]
-    if unmeasured:
-        words = "; ".join(unmeasured)
-        count = f"of {len(unmeasured)} of {len(runs)} logs"
+    if partly := [run for run in runs if run.error is None and run.not_measured]:
+        words = "; ".join(f"{run.name}: {', '.join(run.not_measured)}" for run in partly)
+        count = f"of {len(partly)} of {len(runs)} logs"
         reasons.append(f"{count} not all could be measured ({words})")
     if reasons:
         raise SlamFusionError("; ".join(reasons))

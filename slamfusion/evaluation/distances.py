@@ -26,6 +26,9 @@ from slamfusion.io.yaml_file import read_yaml
 
 _ROWS_PER_BLOCK = 256
 
+# A wall farther than this from a measured point does not count, metres.
+SEARCH_RADIUS_M = 0.5
+
 # A centre on the border of two cells belongs to the upper one, so that rounding does not decide.
 _BORDER_CELLS = 1e-6
 
@@ -135,16 +138,9 @@ class DistanceComparison:
 def compare_distances(
     grid: OccupancyGrid,
     distances: Sequence[MeasuredDistance],
-    *,
     normalize: NormalizeConfig = _DEFAULT_NORMALIZE,
-    search_radius_m: float = 0.5,
 ) -> DistanceComparison:
-    """Compare measured distances with those between the walls of a map.
-
-    Args:
-        grid: in the frame of the measured points.
-        search_radius_m: a wall farther than this from its point does not count.
-    """
+    """Compare measured distances with those between the walls of a map, in the points' frame."""
     walls = wall_centres(trinary_cells(grid.cells, normalize), grid)
     tree = scipy.spatial.KDTree(walls) if walls.shape[0] else None
     compared = []
@@ -153,8 +149,8 @@ def compare_distances(
         reason = ""
         for index, point in enumerate((row.point1, row.point2), start=1):
             distance, nearest = tree.query(point) if tree is not None else (math.inf, 0)
-            if float(distance) > search_radius_m:
-                reason = reason or f"no wall within {search_radius_m:g} m of point {index}"
+            if float(distance) > SEARCH_RADIUS_M:
+                reason = reason or f"no wall within {SEARCH_RADIUS_M:g} m of point {index}"
             else:
                 ends.append(walls[int(nearest)])
         map_m = None if reason else float(np.hypot(*(ends[1] - ends[0])))
@@ -165,7 +161,7 @@ def compare_distances(
     percents = [abs(row.error_percent) for row in compared if row.error_percent is not None]
     return DistanceComparison(
         grid.name,
-        search_radius_m,
+        SEARCH_RADIUS_M,
         compared,
         len(errors_m),
         len(compared),

@@ -301,8 +301,8 @@ class MeasuredPath:
 
 
 @dataclass(frozen=True, eq=False)
-class Yardsticks:
-    """What paths are compared with.
+class GroundTruth:
+    """What paths are measured by: known relations, the true path, or both.
 
     Attributes:
         relations: known motions between pairs of times.
@@ -323,7 +323,7 @@ class Yardsticks:
         odometry: str | Path | None = None,
         truth: str | Path | None = None,
         warn: Callable[[str], None] = _LOG.warning,
-    ) -> Yardsticks:
+    ) -> GroundTruth:
         """Read the files that are named."""
         topic = config.trajectory.pose_topic
         return cls(
@@ -349,7 +349,7 @@ def measure_trajectory(
     scans: Trajectory | None = None,
     truth: Trajectory | None = None,
 ) -> Measures:
-    """Measure a trajectory by everything given; see ``Yardsticks``.
+    """Measure a trajectory by everything given; see ``GroundTruth``.
 
     Raises:
         TrajectoryError: the estimate has no times in common with one of them.

@@ -16,7 +16,7 @@ import pandas as pd
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import OccupancyEstimator, RunConfig
 from slamfusion.errors import LogError
-from slamfusion.evaluation.measured import Row, Yardsticks, figure_of, result_rows
+from slamfusion.evaluation.measured import GroundTruth, Row, figure_of, result_rows
 from slamfusion.experiments.page import Experiment
 from slamfusion.experiments.runs import Inputs, RunResult, Setup, Tell, run_all
 from slamfusion.io import LogScan, open_log, read_trajectory
@@ -171,12 +171,12 @@ class Drive:
 
     name: str
     scans: tuple[LogScan, ...]
-    held: Yardsticks
+    ground_truth: GroundTruth
     odometry: Trajectory | None = None
 
     def errors(self, path: Trajectory, config: RunConfig) -> dict[str, float]:
         """Return the errors of a path by name, as far as they can be measured."""
-        found = self.held.measure(path, config, self.odometry).figures()
+        found = self.ground_truth.measure(path, config, self.odometry).figures()
         return {name: found[name] for name in (RELATIONS, ATE) if name in found}
 
 
@@ -212,16 +212,16 @@ def read_drive(files: LogFiles, config: RunConfig) -> Drive:
     if not scans:
         reasons = "; ".join(log.skips.sentences())
         raise LogError(f"{files.log}: no scan of it can be used: {reasons}")
-    held = Yardsticks.read(config, files.relations, files.odometry, files.truth)
-    odometry = None if held.odometry is None else read_trajectory(path, config.log)
-    return Drive(Path(strip_gz(path.name)).stem, scans, held, odometry)
+    ground_truth = GroundTruth.read(config, files.relations, files.odometry, files.truth)
+    odometry = None if ground_truth.odometry is None else read_trajectory(path, config.log)
+    return Drive(Path(strip_gz(path.name)).stem, scans, ground_truth, odometry)
 
 
 def simulated_office(seed: int, device: ComputeDevice, progress: Progress | None = None) -> Drive:
     """Simulate a drive through every room of an office floor with a Hokuyo."""
     course = replace(named_course("office", seed), name=f"office-{seed}")
     recording = simulate(course, device, progress)
-    return Drive(course.name, recording.scans, Yardsticks(truth=recording.truth))
+    return Drive(course.name, recording.scans, GroundTruth(truth=recording.truth))
 
 
 def run_on_drives(

@@ -210,7 +210,7 @@ def measure_distances(
     config = config or RunConfig()
     rows = load_distances(distances) if isinstance(distances, (str, Path)) else distances
     return tuple(
-        compare_distances(grid, rows, normalize=config.fusion.normalize)
+        compare_distances(grid, rows, config.fusion.normalize)
         for grid in load_maps(maps, config, resolution=resolution)
     )
 

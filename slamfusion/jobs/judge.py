@@ -12,10 +12,10 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError, TrajectoryError
 from slamfusion.evaluation.measured import (
+    GroundTruth,
     MeasuredPath,
     Measures,
     Row,
-    Yardsticks,
     error_series,
     result_rows,
 )
@@ -167,7 +167,7 @@ def judge_paths(
     read = {name: read_trajectory(path, config.log) for name, path in given.items()}
     others = map(as_path, (relations, odometry, truth))
     files = LogFiles(Path(log), *others, scan_odometry=as_path(scan_odometry))
-    held = Yardsticks.read(config, relations, odometry, truth, warn)
+    ground_truth = GroundTruth.read(config, relations, odometry, truth, warn)
     device = device_for(config) if device is None else device
     source = open_log(log, config.log, files.scan_odometry)
     scans = judged_scans(source)
@@ -187,7 +187,7 @@ def judge_paths(
 
     def measured(path: Trajectory) -> Measures:
         try:
-            return held.measure(path, config, wheels)
+            return ground_truth.measure(path, config, wheels)
         except SlamFusionError as error:
             not_measured.append(f"{path.name}: {error}")
         return Measures()

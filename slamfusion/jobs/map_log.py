@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
 from slamfusion.errors import MapFileError, SlamFusionError
-from slamfusion.evaluation.measured import MeasuredPath, Measures, Yardsticks
+from slamfusion.evaluation.measured import GroundTruth, MeasuredPath, Measures
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import AtomicFiles, open_log, save_map, write_atomic, write_tum
 from slamfusion.jobs.documents import number, record_bytes
@@ -180,7 +180,7 @@ def map_log(
     config, state = config or RunConfig(), as_path(resume)
     read = map(as_path, (relations, odometry, truth, truth_map))
     files = LogFiles(Path(log), *read, scan_odometry=as_path(scan_odometry))
-    held = Yardsticks.read(config, relations, odometry, truth, warn)
+    ground_truth = GroundTruth.read(config, relations, odometry, truth, warn)
     true_map = None if truth_map is None else load_truth(truth_map, config, warn=warn)
     device = open_producer_device(producer, config) if device is None else device
     mapper = (
@@ -197,7 +197,7 @@ def map_log(
     run = run_producer(mapper, source, log=source, progress=tell, limit=limit)
     failure, measures, map_error = None, Measures(), None
     try:
-        measures = measure_run(run, config, held)
+        measures = measure_run(run, config, ground_truth)
         if true_map is not None:
             from slamfusion.jobs.evaluate import evaluate_maps  # noqa: PLC0415  (loads slowly)
 
@@ -212,7 +212,7 @@ def map_log(
         files=files,
         made_with=Circumstances(config, device.name),
         mapper=mapper,
-        true_path=held.truth,
+        true_path=ground_truth.truth,
         failure=failure,
     )
 
@@ -227,13 +227,13 @@ def run_remarks(run: ProducerRun) -> list[tuple[str, str]]:
     return remarks
 
 
-def measure_run(run: ProducerRun, config: RunConfig, held: Yardsticks) -> Measures:
+def measure_run(run: ProducerRun, config: RunConfig, ground_truth: GroundTruth) -> Measures:
     """Measure the path, and the first reported one if the producer keeps it."""
     online = run.online_path()
-    final = held.measure(run.trajectory, config, run.odometry)
-    if online is None or (held.relations is None and held.truth is None):
+    final = ground_truth.measure(run.trajectory, config, run.odometry)
+    if online is None or (ground_truth.relations is None and ground_truth.truth is None):
         return final
-    return replace(final, as_first_reported=held.measure(online, config, run.odometry))
+    return replace(final, as_first_reported=ground_truth.measure(online, config, run.odometry))
 
 
 # --- files ------------------------------------------------------------------------------------

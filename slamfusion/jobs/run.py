@@ -18,7 +18,7 @@ from slamfusion.align.starts import Starts, place_starts
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
 from slamfusion.errors import AlignmentError, SlamFusionError, TrajectoryError
-from slamfusion.evaluation.measured import MeasuredPath, Measures, Yardsticks
+from slamfusion.evaluation.measured import GroundTruth, MeasuredPath, Measures
 from slamfusion.evaluation.trajectory_error import on_clock
 from slamfusion.evidence.beams import JudgedScans, ScanHits, judged_scans, scan_hits
 from slamfusion.evidence.drawn_map import draw_map, fuse_with_drawn
@@ -137,7 +137,7 @@ def run_log(  # noqa: PLR0915 - one page, a heading a stage
         true_map = None
         if truth_map is not None:
             true_map = load_truth(truth_map, config, resolution=resolution, scale=scale, warn=warn)
-        held = Yardsticks.read(config, relations, odometry, truth, warn)
+        ground_truth = GroundTruth.read(config, relations, odometry, truth, warn)
         others, their_paths = saved.load(config, resolution, warn)
         device = device_for(config)
         outcomes = work.wait(stages.tell_slam)
@@ -189,7 +189,7 @@ def run_log(  # noqa: PLR0915 - one page, a heading a stage
         elif fused_path is not None:
             fused_path = fused_path.in_fused_frame(paths, fusion.usable)
             own = stages.measured(
-                "the fused path", held.measure, fused_path.trajectory, config, wheels
+                "the fused path", ground_truth.measure, fused_path.trajectory, config, wheels
             )
             fused_path = replace(fused_path, measures=own)
     with stages.timed("evidence"):
@@ -223,13 +223,13 @@ def run_log(  # noqa: PLR0915 - one page, a heading a stage
                     measured, true_map, config, device, scale=scale, progress=progress
                 )
         measures = {
-            name: stages.measured(name, measure_run, run, config, held)
+            name: stages.measured(name, measure_run, run, config, ground_truth)
             for name, run in runs.items()
         }
         found_paths = [
             MeasuredPath(
                 trajectory=path,
-                measures=stages.measured(name, held.measure, path, config, wheels),
+                measures=stages.measured(name, ground_truth.measure, path, config, wheels),
                 file=saved.paths[name],
             )
             for name, path in their_paths.items()
@@ -255,7 +255,7 @@ def run_log(  # noqa: PLR0915 - one page, a heading a stage
         made_with=Circumstances(config, device.name),
         stages_s=stages.times_s,
         evidence=evidence,
-        true_path=held.truth,
+        true_path=ground_truth.truth,
         begun_s=stages.begun_s,
     )
 

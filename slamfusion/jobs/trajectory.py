@@ -8,7 +8,7 @@ from pathlib import Path
 
 from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
-from slamfusion.evaluation.measured import MeasuredPath, Row, Yardsticks, result_rows
+from slamfusion.evaluation.measured import GroundTruth, MeasuredPath, Row, result_rows
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import read_trajectory
 from slamfusion.jobs.cases import Placed
@@ -23,7 +23,7 @@ class MeasuredTrajectory(MeasuredPath):
 
     file: Path = field(metadata=printed_as("estimate"))
     """Its file."""
-    held: Yardsticks = field(repr=False)
+    ground_truth: GroundTruth = field(repr=False)
     """What it was measured by."""
     grid: OccupancyGrid | None = field(default=None, repr=False)
     """A map in its frame, to be drawn under it."""
@@ -71,23 +71,23 @@ def measure_trajectories(
         SlamFusionError: none of the paths could be measured.
     """
     config = config or RunConfig()
-    yardsticks = {}
+    truths = {}
     for case in dict.fromkeys(item.case for item in placed):
         files = known[case]
-        held = Yardsticks.read(config, files.relations, files.odometry, files.truth)
+        ground_truth = GroundTruth.read(config, files.relations, files.odometry, files.truth)
         scans = None if files.log is None else read_trajectory(files.log, config.log)
-        yardsticks[case] = replace(held, scans=scans)
+        truths[case] = replace(ground_truth, scans=scans)
     found, not_measured = [], []
     for item in placed:
-        held = yardsticks[item.case]
-        if held.relations is None and held.truth is None:
+        ground_truth = truths[item.case]
+        if ground_truth.relations is None and ground_truth.truth is None:
             not_measured.append(
                 f"{item.path}: neither truth nor relations of {item.case} was given"
             )
             continue
         try:
             estimate = read_trajectory(item.path, config.log)
-            measures = held.measure(estimate, config)
+            measures = ground_truth.measure(estimate, config)
         except (SlamFusionError, OSError) as error:
             if len(placed) == 1:
                 raise
@@ -98,7 +98,7 @@ def measure_trajectories(
             MeasuredTrajectory(
                 placed=item,
                 trajectory=estimate,
-                held=held,
+                ground_truth=ground_truth,
                 duration_s=float(estimate.stamps_s[-1] - estimate.stamps_s[0]),
                 measures=measures,
                 file=item.path,
@@ -136,7 +136,11 @@ def write_trajectories(
         directory,
         cases,
         config=config or RunConfig(),
-        truths={own.placed.case: own.held.truth for own in found if own.held.truth is not None},
-        odometry=first.held.scans if len(found) == 1 else None,
+        truths={
+            own.placed.case: own.ground_truth.truth
+            for own in found
+            if own.ground_truth.truth is not None
+        },
+        odometry=first.ground_truth.scans if len(found) == 1 else None,
         grid=first.grid,
     )

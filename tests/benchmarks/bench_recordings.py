@@ -24,7 +24,7 @@ from rich.table import Table
 from slamfusion.compute import ComputeDevice, open_device
 from slamfusion.config import RunConfig
 from slamfusion.evaluation.doubled_walls import doubled_wall_share
-from slamfusion.evaluation.measured import Yardsticks, measure_trajectory
+from slamfusion.evaluation.measured import GroundTruth, measure_trajectory
 from slamfusion.evidence.beams import judged_scans, scan_hits
 from slamfusion.evidence.drawn_map import draw_map
 from slamfusion.evidence.fused_path import fuse_paths, trust_in_paths
@@ -131,7 +131,7 @@ def judge(name: str, datasets: Path, runs: Path, device: ComputeDevice) -> Itera
     even, odd = scans[::2], scans[1::2]
     found, even_scores = candidates(paths, even, device)
     chosen = max(even_scores, key=even_scores.__getitem__)
-    held = Yardsticks.read(
+    held = GroundTruth.read(
         config,
         relations=datasets / recording.relations,
         odometry=datasets / recording.odometry if recording.odometry else None,

@@ -33,7 +33,7 @@ from slamfusion.config import DeviceConfig, RunConfig
 from slamfusion.config.run import LidarName
 from slamfusion.evaluation.doubled_walls import doubled_wall_share
 from slamfusion.evaluation.map_error import compare_to_truth
-from slamfusion.evaluation.measured import Yardsticks
+from slamfusion.evaluation.measured import GroundTruth
 from slamfusion.evaluation.odometry import match_odometry
 from slamfusion.evaluation.relations import Relations, errors_at_scans
 from slamfusion.evaluation.statistics import mean_interval
@@ -166,7 +166,7 @@ def recorded(bench: Bench) -> Iterator[Drive]:
         own = Path(name).name.split(".")[0]
         if (DATASETS / name).exists() and bench.chosen([own]):
             found = True
-            yield Drive(own, tuple(open_log(DATASETS / name, bench.config.log)), Yardsticks())
+            yield Drive(own, tuple(open_log(DATASETS / name, bench.config.log)), GroundTruth())
     if not found:
         raise SystemExit(ABSENT)
 
@@ -177,21 +177,21 @@ def within_floor(drive: Drive, best: Trajectory) -> Drive:
     Where that of Intel ends, scans lie farther apart: a fair floor and a fair error are those on
     the same relations.
     """
-    known = drive.held.relations
+    known = drive.ground_truth.relations
     if known is None:
         return drive
     inside = known.stamps_s.max(axis=1) <= best.stamps_s[-1]
     part = Relations(known.stamps_s[inside], known.motions[inside])
-    return replace(drive, held=replace(drive.held, relations=part))
+    return replace(drive, ground_truth=replace(drive.ground_truth, relations=part))
 
 
 def at_scans(drive: Drive, path: Trajectory, config: RunConfig) -> Trajectory:
     """Return the poses of the best trajectory at the drive's scans."""
-    if drive.held.odometry is None:
+    if drive.ground_truth.odometry is None:
         return path
     scans = odometry_path(drive.scans, drive.name)
-    matched = match_odometry(scans, drive.held.odometry)
-    stamps_s = drive.held.odometry.stamps_s[matched]
+    matched = match_odometry(scans, drive.ground_truth.odometry)
+    stamps_s = drive.ground_truth.odometry.stamps_s[matched]
     nearest, is_matched = path.matches(stamps_s, config.trajectory.tolerance_s)
     known = (matched >= 0) & is_matched
     return Trajectory(scans.stamps_s[known], path.poses[nearest[known]], path.name)
@@ -217,8 +217,8 @@ def recordings(bench: Bench) -> Iterator[Row]:
             row["error m"] = error(drive, run.trajectory)
             row["where the floor is m"] = np.nan if part is None else error(part, run.trajectory)
             row["online m"] = error(drive, online(run))
-            if drive.held.relations is not None:
-                own = errors_at_scans(run.trajectory, drive.held.relations)
+            if drive.ground_truth.relations is not None:
+                own = errors_at_scans(run.trajectory, drive.ground_truth.relations)
                 if own is not None:
                     row["at scans m"] = own.translation_m.mean()
                     row["at scans, from (95 %)"], row["to"] = mean_interval(own.translation_m)

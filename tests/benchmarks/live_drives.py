@@ -130,7 +130,7 @@ def told_drive(name: str, keep: Path | None, device: ComputeDevice) -> ToldDrive
 
 def bent(told: ToldDrive, names: Sequence[str], device: ComputeDevice) -> tuple[ToldDrive, float]:
     """Return a drive of which some inputs turn away, and when their walls differ, seconds."""
-    scans, truth = told.drive.scans, told.drive.held.truth
+    scans, truth = told.drive.scans, told.drive.ground_truth.truth
     assert truth is not None  # of a simulated drive
     stamps_s = np.array([item.scan.stamp_s for item in scans])
     right = truth.poses[truth.nearest(stamps_s)]
@@ -376,7 +376,7 @@ def measured(
         for name in bent_ones
         if name in robot.named_s
     }
-    right = told.drive.held.truth or path
+    right = told.drive.ground_truth.truth or path
     far, unnamed = far_shares(robot, online, right)
     wrong = [
         name
@@ -414,7 +414,7 @@ def rows_of(
     told = told_drive(name, keep, device)
     for case in cases:
         names, bent_ones = CASES[case]
-        if not bent_ones or told.drive.held.truth is not None:
+        if not bent_ones or told.drive.ground_truth.truth is not None:
             yield measured(told, names, bent_ones, device)
 
 

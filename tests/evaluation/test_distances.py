@@ -37,9 +37,9 @@ def test_a_row_without_a_wall_says_so_and_does_not_count(corridor: OccupancyGrid
         MeasuredDistance("width", (2.05, -1.0), (2.05, 1.0), 2.2),
         MeasuredDistance("nowhere", (2.05, -1.0), (2.05, 0.0), 1.0),
     ]
-    result = compare_distances(corridor, rows, search_radius_m=0.3)
+    result = compare_distances(corridor, rows)
     assert result.rows[1].map_m is None
-    assert result.rows[1].reason == "no wall within 0.3 m of point 2"
+    assert result.rows[1].reason == "no wall within 0.5 m of point 2"
     assert result.mean_absolute_error_m == pytest.approx(0.2)
     values = plain(result)
     assert (values["rows_used"], values["rows_total"]) == (1, 2)

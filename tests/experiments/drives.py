@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from slamfusion.evaluation.measured import Yardsticks
+from slamfusion.evaluation.measured import GroundTruth
 from slamfusion.evaluation.relations import Relations
 from slamfusion.experiments.tinyslam import Drive
 from slamfusion.geometry import Pose2
@@ -30,13 +30,13 @@ def room(name: str = "room", *, drift: float = 0.0, relations: bool = True) -> D
         LogScan(item.scan, Pose2(pose.x * (1.0 + drift), pose.y, pose.yaw_rad), item.line)
         for item, pose in zip(items, poses, strict=True)
     ]
-    return Drive(name, tuple(items), Yardsticks(known if relations else None, truth=truth))
+    return Drive(name, tuple(items), GroundTruth(known if relations else None, truth=truth))
 
 
 def room_files(folder: Path, name: str = "room", *, relations: bool = True) -> LogFiles:
     """Write the room with drifting odometry, its relations and its truth."""
     made = room(name, drift=0.3)
-    known, truth = made.held.relations, made.held.truth
+    known, truth = made.ground_truth.relations, made.ground_truth.truth
     assert known is not None
     assert truth is not None
     files = LogFiles(

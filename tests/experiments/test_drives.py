@@ -11,7 +11,7 @@ import pytest
 from slamfusion.compute import NumpyDevice
 from slamfusion.config import RunConfig, TrajectoryConfig
 from slamfusion.errors import LogError
-from slamfusion.evaluation.measured import Yardsticks
+from slamfusion.evaluation.measured import GroundTruth
 from slamfusion.evaluation.relations import read_relations, relation_errors
 from slamfusion.experiments.tinyslam import ATE, RELATIONS, read_drive, simulated_office
 from slamfusion.io import read_trajectory, write_carmen, write_tum
@@ -26,7 +26,7 @@ CSAIL = DATASETS / "mit-csail"
 
 def shifted(drive_name: str = "room") -> Trajectory:
     """The truth of the room with its last pose 0.3 m off."""
-    truth = room(drive_name).held.truth
+    truth = room(drive_name).ground_truth.truth
     assert truth is not None
     poses = truth.poses.copy()
     poses[-1, 0] += 0.3
@@ -41,17 +41,17 @@ def test_errors_by_hand() -> None:
 def test_only_what_is_known_is_measured() -> None:
     drive = room(relations=False)
     assert set(drive.errors(shifted(), CONFIG)) == {ATE}
-    known = Yardsticks(room().held.relations)
-    assert set(replace(room(), held=known).errors(shifted(), CONFIG)) == {RELATIONS}
+    known = GroundTruth(room().ground_truth.relations)
+    assert set(replace(room(), ground_truth=known).errors(shifted(), CONFIG)) == {RELATIONS}
 
 
 def test_odometry_carries_poses_to_relations_between_the_scans() -> None:
     # The odometry of the room is the truth.
-    drive, whole = room(), room().held.truth
+    drive, whole = room(), room().ground_truth.truth
     assert whole is not None
     estimate = Trajectory(whole.stamps_s[::3], whole.poses[::3])
-    held = replace(drive.held, odometry=whole)
-    every_third = replace(drive, held=held, odometry=estimate)
+    held = replace(drive.ground_truth, odometry=whole)
+    every_third = replace(drive, ground_truth=held, odometry=estimate)
     # The relation ends at the last scan of the whole drive, which the estimate does not have.
     assert whole.stamps_s[-1] not in estimate.stamps_s
     assert every_third.errors(estimate, CONFIG)[RELATIONS] == pytest.approx(0.0, abs=1e-9)
@@ -59,9 +59,9 @@ def test_odometry_carries_poses_to_relations_between_the_scans() -> None:
 
 def test_a_drive_is_read_from_its_files(tmp_path: Path) -> None:
     drive = room()
-    assert drive.held.truth is not None
+    assert drive.ground_truth.truth is not None
     write_carmen(tmp_path / "room.log.gz", drive.scans)
-    write_tum(tmp_path / "truth.tum", drive.held.truth)
+    write_tum(tmp_path / "truth.tum", drive.ground_truth.truth)
     (tmp_path / "room.relations").write_text("0.0 1.1 0.5 0 0 0 0 0.2\n", encoding="utf-8")
     found = read_drive(
         LogFiles(
@@ -74,12 +74,14 @@ def test_a_drive_is_read_from_its_files(tmp_path: Path) -> None:
     )
     assert found.name == "room"
     assert len(found.scans) == 12
-    assert found.held.relations is not None
-    assert len(found.held.relations) == 1
-    assert found.held.truth is not None
-    np.testing.assert_allclose(found.held.truth.poses, drive.held.truth.poses, atol=1e-8)
-    assert found.held.odometry is not None
-    assert len(found.held.odometry) == 12
+    assert found.ground_truth.relations is not None
+    assert len(found.ground_truth.relations) == 1
+    assert found.ground_truth.truth is not None
+    np.testing.assert_allclose(
+        found.ground_truth.truth.poses, drive.ground_truth.truth.poses, atol=1e-8
+    )
+    assert found.ground_truth.odometry is not None
+    assert len(found.ground_truth.odometry) == 12
 
 
 def test_a_drive_that_nothing_measures_is_refused(tmp_path: Path) -> None:
@@ -91,12 +93,12 @@ def test_a_drive_that_nothing_measures_is_refused(tmp_path: Path) -> None:
 def test_an_office_is_the_same_for_one_seed_and_another_for_the_next() -> None:
     first, again, other = (simulated_office(seed, NumpyDevice()) for seed in (1, 1, 2))
     assert first.name == "office-1"
-    assert first.held.truth is not None
-    assert again.held.truth is not None
-    assert other.held.truth is not None
-    np.testing.assert_array_equal(first.held.truth.poses, again.held.truth.poses)
-    assert len(first.held.truth) != len(other.held.truth)
-    assert len(first.scans) == len(first.held.truth)
+    assert first.ground_truth.truth is not None
+    assert again.ground_truth.truth is not None
+    assert other.ground_truth.truth is not None
+    np.testing.assert_array_equal(first.ground_truth.truth.poses, again.ground_truth.truth.poses)
+    assert len(first.ground_truth.truth) != len(other.ground_truth.truth)
+    assert len(first.scans) == len(first.ground_truth.truth)
 
 
 @pytest.mark.datasets

@@ -37,7 +37,7 @@ CONFIG = RunConfig()
 
 
 def truth() -> Trajectory:
-    reference = room().held.truth
+    reference = room().ground_truth.truth
     assert reference is not None
     return reference
 

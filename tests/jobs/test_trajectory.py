@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from slamfusion.config import RunConfig
-from slamfusion.evaluation.measured import Yardsticks, measure_trajectory
+from slamfusion.evaluation.measured import GroundTruth, measure_trajectory
 from slamfusion.io import read_trajectory
 from slamfusion.json_values import plain
 from slamfusion.trajectory import Trajectory
@@ -18,7 +18,7 @@ from slamfusion.trajectory import Trajectory
 def test_a_trajectory_is_measured_by_hand(place: Path) -> None:
     truth = read_trajectory(place / "truth.tum")
     shifted = Trajectory(truth.stamps_s, truth.poses + np.array([0.3, 0.4, 0.0]))
-    held = Yardsticks.read(RunConfig(), relations=place / "flat.relations")
+    held = GroundTruth.read(RunConfig(), relations=place / "flat.relations")
     assert held.odometry is None
     plain_config = replace(RunConfig().trajectory, alignment="none")
     found = measure_trajectory(shifted, plain_config, relations=held.relations, truth=truth)
