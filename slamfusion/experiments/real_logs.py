@@ -6,7 +6,6 @@ its own errors are part of every number here.
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,7 +30,7 @@ from slamfusion.experiments.runs import RunResult, Setup, Tell, packed_maps, run
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import LogScan, open_log, read_trajectory
 from slamfusion.jobs.cases import CaseFile, place_files
-from slamfusion.jobs.inputs import Warn
+from slamfusion.jobs.inputs import Warn, log_warning
 from slamfusion.jobs.outputs import DRAWN
 from slamfusion.jobs.results import map_inputs
 from slamfusion.jobs.saved_maps import SavedMaps, free_name
@@ -39,8 +38,6 @@ from slamfusion.slam.common.mapper import MapJob
 from slamfusion.slam.graph.node_map import Node, NodeMap
 from slamfusion.slam.registry import BUILT_IN, settings_of
 from slamfusion.trajectory import Trajectory
-
-_LOG = logging.getLogger(__name__)
 
 TITLE = "Fusion on recorded drives"
 REFERENCE = "reference"
@@ -172,7 +169,7 @@ def _compare_on_log(
     scans = tuple(open_log(folder / files.log, config.log))
     trajectory = read_trajectory(folder / files.reference, config.log)
     reference, count = reference_map(scans, trajectory, config, device)
-    others, their_paths = saved.load(config, None, _LOG.warning)
+    others, their_paths = saved.load(config, None, log_warning)
 
     produced = produce_maps(dict.fromkeys(BUILT_IN, scans), config, device, tell)
     if not produced.paths:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import math
 from dataclasses import dataclass, field, replace
 
@@ -13,11 +12,9 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
 from slamfusion.fusion import align_grids
 from slamfusion.geometry import Pose2
-from slamfusion.jobs.inputs import MapInput, Warn, device_for, load_maps
+from slamfusion.jobs.inputs import MapInput, Warn, device_for, load_maps, log_warning
 from slamfusion.jobs.records import Circumstances
 from slamfusion.json_values import FLAT
-
-_LOG = logging.getLogger(__name__)
 
 # Of a start without tolerances: x, y, yaw.
 POSE_NUMBERS = 3
@@ -43,7 +40,7 @@ def align_maps(
     *,
     start: Pose2 | StartPose | None = None,
     resolution: float | None = None,
-    warn: Warn = _LOG.warning,
+    warn: Warn = log_warning,
 ) -> Alignment:
     """Align a map with another one.
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -31,12 +30,11 @@ from slamfusion.jobs.inputs import (
     device_for,
     load_maps,
     load_truth,
+    log_warning,
 )
 from slamfusion.jobs.plan import align_plan_with_all
 from slamfusion.jobs.records import Settings, Summaries
 from slamfusion.json_values import FLAT
-
-_LOG = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,7 +223,7 @@ def evaluate_cases(
     scale: PixelSizes | None = None,
     resolution: float | None = None,
     progress: Progress | None = None,
-    warn: Warn = _LOG.warning,
+    warn: Warn = log_warning,
 ) -> EvaluatedMaps:
     """Compare maps with the truths of their cases and with measured distances.
 

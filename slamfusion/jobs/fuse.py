@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import time
 from collections.abc import Sequence
 from concurrent.futures import Executor
@@ -45,6 +44,7 @@ from slamfusion.jobs.inputs import (
     device_for,
     load_maps,
     load_truth,
+    log_warning,
 )
 from slamfusion.jobs.outputs import (
     FAILED,
@@ -57,8 +57,6 @@ from slamfusion.jobs.outputs import (
 )
 from slamfusion.jobs.records import Circumstances
 from slamfusion.vote.tiles import TILE
-
-_LOG = logging.getLogger(__name__)
 
 # Arrays of a store: the fused map is called as a run calls it.
 AGREEMENT_ARRAY = "agreement"
@@ -160,7 +158,7 @@ def fuse_maps(
     store: str | Path | None = None,
     executor: Executor | None = None,
     progress: Progress | None = None,
-    warn: Warn = _LOG.warning,
+    warn: Warn = log_warning,
 ) -> FusedMaps:
     """Align maps of one place and fuse them by vote.
 

@@ -19,16 +19,15 @@ if TYPE_CHECKING:
     from slamfusion.compute import ComputeDevice
     from slamfusion.grid import OccupancyGrid
 
-_LOG = logging.getLogger(__name__)
-
 # A map in memory, or a map_server YAML file or bare image.
 MapInput: TypeAlias = "OccupancyGrid | str | Path"
 # The least and the greatest size of a plan's pixels, metres; free: half and twice what they say.
 PixelSizes: TypeAlias = tuple[float, float] | Literal["free"]
 # Called with a stage, the number of its steps that are done, parts included, and of all of them.
 Progress = Callable[[str, float, int], None]
-# Called with a sentence on what is doubtful about an input.
+# Called with a sentence on what is doubtful about an input; by default it is logged.
 Warn = Callable[[str], None]
+log_warning: Warn = logging.getLogger("slamfusion.jobs").warning
 
 # What a pixel of a plan is taken for before its scale is searched, metres.
 PIXEL_M = 0.05
@@ -84,7 +83,7 @@ def load_maps(
     config: RunConfig,
     *,
     resolution: float | None = None,
-    warn: Warn = _LOG.warning,
+    warn: Warn = log_warning,
     measured: bool = False,
 ) -> list[OccupancyGrid]:
     """Return maps in order with distinct names; files are loaded.
@@ -130,7 +129,7 @@ def load_truth(
     *,
     resolution: float | None = None,
     scale: PixelSizes | None = None,
-    warn: Warn = _LOG.warning,
+    warn: Warn = log_warning,
 ) -> OccupancyGrid:
     """Return the map that others are compared with; see ``load_maps``.
 

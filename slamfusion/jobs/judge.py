@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from operator import itemgetter
@@ -27,15 +26,13 @@ from slamfusion.fusion.groups import LEAST_FUSED
 from slamfusion.io import open_log, read_trajectory, write_tum
 from slamfusion.jobs.cases import Placed
 from slamfusion.jobs.fused_path import FusedPath, fuse_weighed_paths
-from slamfusion.jobs.inputs import LogFiles, Warn, as_path, device_for, distinct_names
+from slamfusion.jobs.inputs import LogFiles, Warn, as_path, device_for, distinct_names, log_warning
 from slamfusion.jobs.outputs import FUSED
 from slamfusion.jobs.records import Circumstances, Summaries
 from slamfusion.jobs.saved_maps import path_at_scans
 from slamfusion.json_values import FLAT
 from slamfusion.slam.common.odometry_check import contradictions, laser_fault
 from slamfusion.trajectory import Trajectory
-
-_LOG = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -134,7 +131,7 @@ def judge_paths(
     truth: str | Path | None = None,
     scan_odometry: str | Path | None = None,
     fused: str | Path | None = None,
-    warn: Warn = _LOG.warning,
+    warn: Warn = log_warning,
 ) -> JudgedPaths:
     """Rank the paths of a log by its scans, and measure their errors if there is a truth.
 

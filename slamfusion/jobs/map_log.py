@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -16,7 +15,7 @@ from slamfusion.evaluation.measured import GroundTruth, MeasuredPath, Measures
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import AtomicFiles, open_log, save_map, write_atomic, write_tum
 from slamfusion.jobs.documents import number, record_bytes
-from slamfusion.jobs.inputs import LogFiles, Progress, Warn, as_path, load_truth
+from slamfusion.jobs.inputs import LogFiles, Progress, Warn, as_path, load_truth, log_warning
 from slamfusion.jobs.outputs import PROBABILITY, output_files
 from slamfusion.jobs.records import Circumstances
 from slamfusion.json_values import FLAT
@@ -27,8 +26,6 @@ from slamfusion.trajectory import Trajectory
 
 if TYPE_CHECKING:  # what aligns maps loads slowly
     from slamfusion.jobs.fuse_documents import Evaluation
-
-_LOG = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -156,7 +153,7 @@ def map_log(
     resume: str | Path | None = None,
     limit: int | None = None,
     progress: Progress | None = None,
-    warn: Warn = _LOG.warning,
+    warn: Warn = log_warning,
 ) -> MappedLog:
     """Make a map of the scans in a log with one producer, and measure map and path.
 

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import logging
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -41,6 +40,7 @@ from slamfusion.jobs.inputs import (
     as_path,
     device_for,
     load_truth,
+    log_warning,
 )
 from slamfusion.jobs.map_log import measure_run
 from slamfusion.jobs.outputs import DRAWN, FUSED
@@ -58,8 +58,6 @@ from slamfusion.slam.common.odometry_check import laser_fault
 from slamfusion.slam.registry import BUILT_IN, loop_closers, producer
 from slamfusion.slam.side_by_side import Outcome, SideBySide
 from slamfusion.trajectory import Trajectory
-
-_LOG = logging.getLogger(__name__)
 
 # The progress of all stages together, the share of the time that the SLAMs take (of two drives on
 # two cores), and the number of stages that follow, with the report, which counts as two.
@@ -82,7 +80,7 @@ def run_log(  # noqa: PLR0915 - one page, a heading a stage
     scale: PixelSizes | None = None,
     scan_odometry: str | Path | None = None,
     progress: Progress | None = None,
-    warn: Warn = _LOG.warning,
+    warn: Warn = log_warning,
     prepare: Callable[[], None] = lambda: None,
 ) -> LogRun:
     """Map a log with several producers side by side, fuse their maps, and measure everything.
