@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from slamfusion.errors import TrajectoryError
-from slamfusion.geometry import F64, Pose2
+from slamfusion.geometry import F64, Pose2, moved_poses
 
 # Stamps with a smaller difference are equal, seconds: files round to milliseconds.
 SAME_STAMP_S = 1e-3
@@ -83,7 +83,11 @@ class Trajectory:
 
     def later(self, seconds: float) -> Trajectory:
         """Return the same path, later by some seconds."""
-        return Trajectory(self.stamps_s + seconds, self.poses, self.name)
+        return replace(self, stamps_s=self.stamps_s + seconds)
+
+    def moved(self, transform: Pose2) -> Trajectory:
+        """Return the same path in another frame; ``transform`` maps points into it, metres."""
+        return replace(self, poses=moved_poses(transform, self.poses))
 
     def pose(self, index: int) -> Pose2:
         """Return one pose."""

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import replace
 
 import numpy as np
 
@@ -91,7 +90,7 @@ def moved_onto(path: Trajectory, others: Iterable[Trajectory]) -> Trajectory:
     if not sum(map(len, moving)):
         return path
     motion = fit_frame(np.concatenate(moving), np.concatenate(still))
-    return replace(path, poses=moved_poses(motion, path.poses))
+    return path.moved(motion)
 
 
 def fit_frame(moving: F64, still: F64, weights: F64 | None = None) -> Pose2:

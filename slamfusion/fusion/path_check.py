@@ -30,14 +30,7 @@ from slamfusion.errors import AlignmentError
 from slamfusion.fusion.grouping import PATH_GAP
 from slamfusion.fusion.groups import LEAST_FUSED
 from slamfusion.fusion.pipeline import fuse_grids
-from slamfusion.geometry import (
-    Pose2,
-    blend_poses,
-    fit_motion,
-    moved_poses,
-    with_levers,
-    wrap_angles,
-)
+from slamfusion.geometry import Pose2, blend_poses, fit_motion, with_levers, wrap_angles
 from slamfusion.grid import OccupancyGrid
 from slamfusion.trajectory import Trajectory
 
@@ -114,11 +107,6 @@ class PathGap:
         )
 
 
-def moved_path(path: Trajectory, transform: Pose2) -> Trajectory:
-    """Return a path in another frame; ``transform`` maps points into it, metres."""
-    return Trajectory(path.stamps_s, moved_poses(transform, path.poses), path.name)
-
-
 def path_gaps(paths: Mapping[str, Trajectory]) -> tuple[PathGap, ...]:
     """Return how far every two paths, in one frame, are apart."""
     gaps = []
@@ -181,7 +169,7 @@ def place_by_path(
     still, moved = paths[pair.reference], paths[pair.moving]
 
     def gap_m(found: Alignment) -> float:
-        laid = {pair.moving: moved_path(moved, found.transform), pair.reference: still}
+        laid = {pair.moving: moved.moved(found.transform), pair.reference: still}
         return path_gaps(laid)[0].median_m
 
     is_there = gap_m(pair) <= limit_m
@@ -261,7 +249,7 @@ def fuse_with_paths(
 
     result = fuse_grids(grids, config, device, progress, look, starts)
     placed = {
-        record.name: moved_path(paths[record.name], record.alignment.transform)
+        record.name: paths[record.name].moved(record.alignment.transform)
         for record in result.accepted
         if record.name in paths and record.alignment is not None
     }

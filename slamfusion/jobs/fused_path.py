@@ -12,7 +12,6 @@ from slamfusion.evidence.fused_path import fuse_paths, trust_in_paths
 from slamfusion.evidence.path_frames import moved_onto
 from slamfusion.evidence.predictive import PathEvidence
 from slamfusion.evidence.refined_path import Refinement, refine_borne_out
-from slamfusion.fusion.path_check import moved_path
 from slamfusion.jobs.outputs import FUSED
 from slamfusion.slam.registry import loop_closers
 from slamfusion.trajectory import Trajectory
@@ -35,7 +34,7 @@ class FusedPath(MeasuredPath):
         placed = [
             paths[record.name]
             if record.alignment is None
-            else moved_path(paths[record.name], record.alignment.transform)
+            else paths[record.name].moved(record.alignment.transform)
             for record in fusion.accepted
             if record.name in paths
         ]

@@ -42,7 +42,6 @@ from slamfusion.evidence.path_frames import moved_onto
 from slamfusion.evidence.predictive import SURE, PathEvidence, score_paths
 from slamfusion.evidence.recommendation import LEAST_DIFFERENCE
 from slamfusion.fusion.live import Evidence
-from slamfusion.fusion.path_check import moved_path
 from slamfusion.geometry import F64, Pose2, fit_motion, moved_poses, row_of, with_levers
 from slamfusion.io import LogScan
 from slamfusion.jobs.fused_path import fuse_weighed_paths
@@ -431,7 +430,7 @@ class LiveDrive:
         """Carry a path that was found into the fused frame, and put it in place of the last one."""
         before = self._path
         if lattice is not None and lattice != self._lattice:
-            voters = [moved_path(paths[n], transforms[n]) for n in transforms if n in paths]
+            voters = [paths[n].moved(transforms[n]) for n in transforms if n in paths]
             if voters:
                 self._lattice = lattice
                 if before is not None:
@@ -539,7 +538,7 @@ def _blind_m(path: Trajectory, blind_s: F64) -> float:
 def _part(path: Trajectory, after_s: float, until_s: float) -> Trajectory:
     """Return the poses of a path after one time and until another."""
     here = (path.stamps_s > after_s) & (path.stamps_s <= until_s)
-    return Trajectory(path.stamps_s[here], path.poses[here], path.name)
+    return replace(path, stamps_s=path.stamps_s[here], poses=path.poses[here])
 
 
 def _variances(place_m: float, turn_rad: float) -> F64:

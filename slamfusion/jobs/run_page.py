@@ -7,7 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 
 from slamfusion.evaluation.measured import MeasuredPath
-from slamfusion.fusion.path_check import moved_path
 from slamfusion.geometry import Pose2
 from slamfusion.jobs.run_files import LogRun
 from slamfusion.palette import NAMED, Rgb
@@ -247,7 +246,7 @@ def _together(run: LogRun, placed: Mapping[str, Pose2], colours: Mapping[str, Rg
     """Return the paths whose maps were fused, with truth and odometry, in the fused map."""
     result = run.fusion.result
     shown = {
-        name: moved_path(own.trajectory, placed[name])
+        name: own.trajectory.moved(placed[name])
         for name, own in run.paths.items()
         if name in placed
     }
@@ -264,7 +263,7 @@ def _together(run: LogRun, placed: Mapping[str, Pose2], colours: Mapping[str, Rg
     first, sentences = run.results[name], []
     if run.true_path is not None and (errors := first.measures.truth) is not None:
         motion = placed[name].compose(errors.alignment.transform.inverse())
-        lines.append(paths.truth_line(moved_path(run.true_path, motion)))
+        lines.append(paths.truth_line(run.true_path.moved(motion)))
         sentences.append("The truth is aligned with the whole first path.")
     if first.run.odometry is not None:
         lines.insert(0, paths.odometry_line(paths.laid_on_start(first.run.odometry, top)))

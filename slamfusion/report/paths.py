@@ -18,7 +18,6 @@ from slamfusion.evaluation.trajectory_error import TrajectoryErrors
 from slamfusion.evidence.parting import PART_M, path_gap_m
 from slamfusion.evidence.predictive import PathEvidence
 from slamfusion.evidence.recommendation import Recommendation
-from slamfusion.fusion.path_check import moved_path
 from slamfusion.geometry import F64, compose_poses
 from slamfusion.grid import OccupancyGrid
 from slamfusion.palette import DISAGREEMENT_RGB, NAMED, Rgb, colours_of
@@ -64,7 +63,7 @@ _LEAST_GAP_M = 0.01
 def laid_on_start(odometry: Trajectory, path: Trajectory) -> Trajectory:
     """Return raw odometry in the frame of a path: at its start both have one pose."""
     at = odometry.pose(int(odometry.nearest(path.stamps_s[0])))
-    return moved_path(odometry, path.pose(0).compose(at.inverse()))
+    return odometry.moved(path.pose(0).compose(at.inverse()))
 
 
 def path_picture(
@@ -227,7 +226,7 @@ def path_pictures(
         lines.insert(0, odometry_line(laid_on_start(odometry, trajectory)))
         captions.append("Raw odometry is aligned with the start; its far drift is cut off.")
     if truth is not None and errors is not None:
-        lines.append(truth_line(moved_path(truth, errors.alignment.transform.inverse())))
+        lines.append(truth_line(truth.moved(errors.alignment.transform.inverse())))
         captions.append("The truth is aligned with the whole estimate.")
     if others:
         captions.append("Faint: alternatives of the SLAM; where they spread, it is uncertain.")
@@ -244,7 +243,7 @@ def path_pictures(
     if errors is not None:
         aligned = Trajectory(errors.stamps_s, errors.aligned, errors.name)
         figure = path_picture(
-            moved_path(aligned, errors.alignment.transform.inverse()),
+            aligned.moved(errors.alignment.transform.inverse()),
             grid=grid,
             normalize=normalize,
             values=errors.translation_m,

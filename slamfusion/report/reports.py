@@ -14,7 +14,6 @@ from slamfusion.evaluation.map_error import MapError
 from slamfusion.evaluation.measured import MeasuredPath, Measures
 from slamfusion.evidence.predictive import PathEvidence
 from slamfusion.evidence.recommendation import Recommendation
-from slamfusion.fusion.path_check import moved_path
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io.files import write_atomic
 from slamfusion.palette import Rgb, colours_of
@@ -197,7 +196,7 @@ def _paths_over_truth(
     for item in measured:
         path = item.trajectory
         if item.measures.truth is not None:
-            path = moved_path(path, item.measures.truth.alignment.transform)
+            path = path.moved(item.measures.truth.alignment.transform)
         lines.append(Line(path, item.name, colours[item.name], 1.0))
     marked = lines[0].path
     if truth is not None:

@@ -39,7 +39,6 @@ from slamfusion.evaluation.relations import Relations, errors_at_scans
 from slamfusion.evaluation.statistics import mean_interval
 from slamfusion.evaluation.trajectory_error import trajectory_errors
 from slamfusion.experiments.tinyslam import RELATIONS, Drive, read_drive
-from slamfusion.fusion.path_check import moved_path
 from slamfusion.geometry import F64, compose_poses, invert_poses, row_of, wrap_angles
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import LogScan, open_log, read_trajectory, save_map
@@ -343,7 +342,7 @@ def write_report(folder: Path, run: ProducerRun, corrected: Trajectory, config: 
     from slamfusion.report import write_slam_report  # noqa: PLC0415  (loads matplotlib)
 
     moved = trajectory_errors(corrected, run.trajectory, config.trajectory).alignment.transform
-    other = replace(moved_path(corrected, moved), name="the corrected log, aligned")
+    other = replace(corrected.moved(moved), name="the corrected log, aligned")
     shown = replace(run, other_paths=(*run.other_paths, other))
     write_slam_report(folder, shown, config=config)
 

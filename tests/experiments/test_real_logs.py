@@ -22,7 +22,6 @@ from slamfusion.experiments.real_logs import (
     reference_map,
 )
 from slamfusion.experiments.runs import Setup
-from slamfusion.fusion.path_check import moved_path
 from slamfusion.geometry import Pose2
 from slamfusion.io import save_map, write_carmen, write_tum
 from slamfusion.jobs.cases import CaseFile
@@ -99,7 +98,7 @@ def test_another_slam_takes_part_with_its_path(
     true = Trajectory(stamps_s, np.array([(pose.x, pose.y, pose.yaw_rad) for pose in poses]))
     write_carmen(tmp_path / "flat.log", scans)
     write_tum(tmp_path / "flat.tum", true)
-    device, moved = open_device("auto"), moved_path(true, Pose2(4.0, 1.0, 0.5))
+    device, moved = open_device("auto"), true.moved(Pose2(4.0, 1.0, 0.5))
     grid = draw_map([*scan_hits(scans)], moved, device, resolution=0.05, name="karto")
     save_map(grid, tmp_path / "karto_flat")
     write_tum(tmp_path / "karto_flat.tum", moved)

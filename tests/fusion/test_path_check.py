@@ -18,7 +18,6 @@ from slamfusion.fusion.path_check import (
     fallback_map,
     fit_paths,
     fuse_with_paths,
-    moved_path,
     path_gaps,
 )
 from slamfusion.geometry import Pose2
@@ -34,7 +33,7 @@ TRUE_PATH = Trajectory(
 
 
 def shifted(x: float, y: float = 0.0, yaw_rad: float = 0.0) -> Trajectory:
-    return moved_path(TRUE_PATH, Pose2(x, y, yaw_rad))
+    return TRUE_PATH.moved(Pose2(x, y, yaw_rad))
 
 
 def producers() -> tuple[list[OccupancyGrid], dict[str, Trajectory]]:
@@ -43,7 +42,7 @@ def producers() -> tuple[list[OccupancyGrid], dict[str, Trajectory]]:
     for seed, (name, yaw_rad) in enumerate({"a": 0.02, "b": -0.8, "c": 1.9}.items()):
         grid, pose = degraded(building(1, 11.0, 9.0), seed, name, yaw_rad=yaw_rad, flip_share=0.03)
         grids.append(grid)
-        paths[name] = moved_path(TRUE_PATH, pose.inverse())
+        paths[name] = TRUE_PATH.moved(pose.inverse())
     return grids, paths
 
 
@@ -102,7 +101,7 @@ def test_a_producer_that_was_elsewhere_is_left_out_though_its_walls_fit(
     device: ComputeDevice,
 ) -> None:
     grids, paths = producers()
-    paths["b"] = moved_path(paths["b"], Pose2(0.0, 2.0))
+    paths["b"] = paths["b"].moved(Pose2(0.0, 2.0))
     result, gaps = fuse_with_paths(grids, paths, QUICK, 0.5, device)
     assert [record.name for record in result.accepted] == ["a", "c"]
     (rejected,) = result.rejected
@@ -128,7 +127,7 @@ def test_a_saved_map_has_no_path_and_votes(device: ComputeDevice) -> None:
 
 def test_two_producers_that_were_apart_are_not_fused(device: ComputeDevice) -> None:
     grids, paths = producers()
-    paths["b"] = moved_path(paths["b"], Pose2(0.0, 2.0))
+    paths["b"] = paths["b"].moved(Pose2(0.0, 2.0))
     with pytest.raises(PathsApartError, match="the paths do not") as caught:
         fuse_with_paths(grids[:2], paths, QUICK, 0.5, device)
     assert len(caught.value.pairs) == 1
@@ -143,7 +142,7 @@ def test_the_fit_of_paths_is_the_motion_between_their_frames(*, is_turning: bool
         poses = np.column_stack((np.full(50, 2.0), np.full(50, 3.0), np.linspace(0.0, 5.0, 50)))
         path = Trajectory(TRUE_PATH.stamps_s, poses, "turn")
     motion = Pose2(3.0, -2.0, 2.5)
-    found = fit_paths(path, moved_path(path, motion))
+    found = fit_paths(path, path.moved(motion))
     assert (found.x, found.y, found.yaw_rad) == pytest.approx((3.0, -2.0, 2.5))
 
 
@@ -162,9 +161,9 @@ def test_a_map_that_walls_leave_open_is_placed_by_its_path(
     with pytest.raises(AlignmentError, match="ambiguous"):
         fuse_grids(grids, config, device)
     turn = Pose2(0.0, 0.0, turns * math.pi / 2.0)
-    path = moved_path(TRUE_PATH, Pose2(-4.0, -3.0))
+    path = TRUE_PATH.moved(Pose2(-4.0, -3.0))
     result, _ = fuse_with_paths(
-        grids, {"a": path, "b": moved_path(path, turn.inverse())}, config, 0.5, device
+        grids, {"a": path, "b": path.moved(turn.inverse())}, config, 0.5, device
     )
     assert len(result.accepted) == 2
     (pair,) = result.pairs

@@ -14,7 +14,6 @@ from slamfusion.errors import AlignmentError, ConfigError, SlamFusionError, Star
 from slamfusion.evaluation.distances import wall_centres
 from slamfusion.evidence.beams import judged_scans, scan_hits
 from slamfusion.evidence.predictive import score_paths
-from slamfusion.fusion.path_check import moved_path
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid, trinary_cells
 from slamfusion.io import load_map, open_log, read_trajectory, save_map, write_carmen, write_tum
@@ -139,7 +138,7 @@ def assert_path_and_drawing_lie_on_the_fused_map(run: LogRun, out: Path) -> None
     for record in run.usable.accepted:
         made = run.results[record.name].run.trajectory
         if record.alignment is not None:
-            made = moved_path(made, record.alignment.transform)
+            made = made.moved(record.alignment.transform)
         assert np.hypot(*(made.poses - path.poses)[:, :2].T).max() < 0.15
 
     # The drawn map lies on the lattice of the fused one, and shows the same place.
@@ -220,7 +219,7 @@ def test_a_saved_map_brings_its_path(place: Path, tmp_path: Path) -> None:
     moved = Pose2(6.0, -2.0, 1.0)
     walls = np.where(draw_flat() == 1, 100, 0).astype(np.int8)
     save_map(OccupancyGrid(walls, CELL_M, moved), tmp_path / "karto" / "map")
-    truth = moved_path(read_trajectory(place / "truth.tum"), moved)
+    truth = read_trajectory(place / "truth.tum").moved(moved)
     write_tum(tmp_path / "karto" / "poses.tum", Trajectory(truth.stamps_s[::3], truth.poses[::3]))
     config = replace(RUN_DEFAULTS, run=replace(RUN_DEFAULTS.run, producers=("graph",)))
     run = run_log(

@@ -17,7 +17,7 @@ from slamfusion.evaluation.map_error import compare_to_truth
 from slamfusion.evaluation.measured import Measures
 from slamfusion.evaluation.relations import Relations, relation_errors
 from slamfusion.evaluation.trajectory_error import trajectory_errors
-from slamfusion.fusion.path_check import moved_path, path_gaps
+from slamfusion.fusion.path_check import path_gaps
 from slamfusion.geometry import Pose2
 from slamfusion.jobs.fuse_documents import DoubledWalls, Evaluation
 from slamfusion.jobs.fused_path import FusedPath
@@ -55,11 +55,11 @@ def everything() -> LogRun:
     """Three producers of which one is lost, a fourth that died, a rejected map, all errors."""
     runs = [produced(name, lost=name == "room 1") for name in NAMES]
     path = runs[0].trajectory
-    truth = moved_path(path, Pose2(5.0, 1.0, 0.5))
+    truth = path.moved(Pose2(5.0, 1.0, 0.5))
     result = fusion()
     grids = tuple(record.grid for record in result.inputs)
     gaps = path_gaps(
-        {name: moved_path(path, Pose2(0.0, 2.5 * index)) for index, name in enumerate(NAMES)}
+        {name: path.moved(Pose2(0.0, 2.5 * index)) for index, name in enumerate(NAMES)}
     )
     yardstick = room("truth", 7)
     evaluations = [
