@@ -196,6 +196,37 @@ __kernel void count_beams(
   }
 }
 
+/* Count beams of any number of scans in one map: as count_beams, with words of their own for hits and
+ * visits.
+ *
+ * beams    BEAM_INTS ints per beam: x, y of its end and of the laser, 1/1024 cell, in the window
+ * is_hit   uchar per beam
+ * pages    int, rows of `width`; cells of page 0 are left out
+ * sign     1, or -1 to take beams back that were counted
+ */
+__kernel void count_walks(
+    __global const int4 *beams, const int count, __global const uchar *is_hit, const int width,
+    __global const int *pages, __global uint *hits, __global uint *visits, const int sign) {
+  const int item = get_global_id(0);
+  if (item >= count) {
+    return;
+  }
+  const int4 beam = beams[item];
+  const walk w = walk_of(beam.x, beam.y, beam.z, beam.w);
+  int places[AHEAD];
+  for (int first = 0; first <= (int)w.steps; first += AHEAD) {
+    const int n = look_ahead(w, first, pages, width, visits, places);
+    if (first == 0 && is_hit[item] && places[0] >= TILE_CELLS) {
+      add_to_word(hits + places[0], (uint)sign);
+    }
+    for (int k = 0; k < n; k++) {
+      if (places[k] >= TILE_CELLS) {
+        add_to_word(visits + places[k], (uint)sign);
+      }
+    }
+  }
+}
+
 /* Bits with those up to `reach` places away from them. */
 INLINE ulong widened(ulong bits, const int reach) {
   for (int n = 0; n < reach; n++) {

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.compute.arrays import BOOL, F32, I64, U8, U32, ArrayDevice, DeviceArray, host
+from slamfusion.compute.arrays import BOOL, F32, I32, I64, U8, U32, ArrayDevice, DeviceArray, host
 from slamfusion.compute.layout import (
     BEAM_ONE,
     BEAM_SHIFT,
@@ -44,6 +44,8 @@ from slamfusion.compute.layout import (
 from slamfusion.compute.tiles import tile_places, walk_cells
 from slamfusion.errors import DeviceError
 
+# Beams that NumPy walks at once.
+BATCH = 4096
 # The limits of the map servers, in percent.
 FREE_PERCENT, OCCUPIED_PERCENT = 25.0, 65.0
 
@@ -320,6 +322,45 @@ class HitCountDevice(ArrayDevice):
 
         hits, visits = counts[places] >> HITS_SHIFT, counts[places] & VISITS_MASK
         return bool(((hits >= FULL_HITS) | (visits >= FULL_VISITS)).any())
+
+    def count_walks(
+        self,
+        hits: DeviceArray[np.uint32],
+        visits: DeviceArray[np.uint32],
+        pages: DeviceArray[np.int32],
+        beams: I32,
+        is_hit: U8,
+        sign: int,
+    ) -> None:
+        """Count the beams of any number of scans in one map, in place.
+
+        Args:
+            hits, visits: (T, TILE, TILE) uint32; as in ``count_beams``, in words of their own.
+            pages: (1, PH, PW) int32; cells of pages without a tile are left out.
+            beams: (B, BEAM_INTS) int32, on the host: x and y of end and laser in 1/1024 cell,
+                inside of the window.
+            is_hit: (B,) uint8, on the host.
+            sign: 1, or -1 to take beams back that were counted.
+        """
+        if self.opencl:
+            upload, count, width = self.opencl.upload, len(beams), pages.shape[2]
+            if count:
+                self.opencl.launch(
+                    "count_walks", (count,), upload(beams), count, upload(is_hit), width, pages,
+                    hits, visits, sign,
+                )  # fmt: skip
+            return
+        pages, pools = host(pages), (host(visits), host(hits))
+        sum_at = np.add.at if sign > 0 else np.subtract.at
+        for first in range(0, len(beams), BATCH):
+            some = beams[first : first + BATCH].astype(np.int64)
+            beam, row, col = walk_cells((some[:, 0], some[:, 1]), (some[:, 2], some[:, 3]))
+            places = tile_places(pages, 0, row, col)
+            is_visit = places[0] != 0
+            is_end = is_visit & (np.diff(beam, prepend=-1) > 0)
+            counted = is_visit, is_end & (is_hit[first : first + BATCH][beam] != 0)
+            for pool, here in zip(pools, counted, strict=True):
+                sum_at(pool, tuple(part[here] for part in places), np.uint32(1))
 
     def count_and_settle(
         self,

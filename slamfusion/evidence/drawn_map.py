@@ -14,7 +14,7 @@ another SLAM saved contains scans outside of this log, so it votes.
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -23,8 +23,7 @@ import scipy
 from slamfusion.align.normalize import NormalizedGrid, normalize_grid
 from slamfusion.align.records import FusionResult
 from slamfusion.compute import ComputeDevice
-from slamfusion.compute.hit_counts import BeamScan, halve_counts
-from slamfusion.compute.layout import MOST_BEAMS, OPEN, TILE, WALL
+from slamfusion.compute.layout import BEAM_ONE, MOST_BEAMS, OPEN, TILE, WALL
 from slamfusion.config import FusionConfig
 from slamfusion.errors import TrajectoryError
 from slamfusion.evidence.beams import ScanHits, no_common_time
@@ -34,14 +33,18 @@ from slamfusion.grid import FREE, IDENTITY, OCCUPIED, UNKNOWN, CellBox, Occupanc
 from slamfusion.slam.common.tile_map import SharedTileMaps
 from slamfusion.trajectory import Trajectory
 from slamfusion.vote.boxes import hull
+from slamfusion.vote.lattice import Lattice
 from slamfusion.vote.tiles import GridLayer, TileVoter
 
-F32 = npt.NDArray[np.float32]
+I8 = npt.NDArray[np.int8]
+B8 = npt.NDArray[np.bool_]
+I32 = npt.NDArray[np.int32]
+U32 = npt.NDArray[np.uint32]
 
 # Parts of a cell that points are rounded to, as the kernel sees them.
 POINT_PARTS = 1024.0
-# Rays of one launch.
-RAYS = 1 << 18
+# Scans that are laid at once: what it takes of memory does not grow with the drive.
+PART = 256
 # A cell is a wall if more than this share of the beams that reached it ended in it, and this number
 # at least; a free one was crossed by at least the third number of beams.
 WALL_SHARE, LEAST_HITS, LEAST_VISITS = 0.25, 2, 3
@@ -70,55 +73,142 @@ def draw_map(
     Returns:
         Cells in {-1, 0, 100}, cropped to what is known, in the frame of the path.
     """
-    placed, poses = _with_poses(scans, path, origin)
-    beams = _Beams.of(placed, poses, resolution)
-    everything = np.ones(len(beams.ends), dtype=np.bool_)
-    counts, corner = _count(beams, beams.ends, everything, device)
-    ends, is_hit = _cut_off(beams, _is_wall(counts), corner, device, resolution)
-    counts, corner = _count(beams, ends, is_hit, device)
-    walls = _is_wall(counts)
-    visits = counts & 0xFFFF
-    cells = np.where(walls, OCCUPIED, np.where(visits >= LEAST_VISITS, FREE, UNKNOWN))
-    cells = _without_specks(cells.astype(np.int8), LEAST_AREA_M2 / resolution**2)
-    box = known_box(cells)
-    if box is not None:
-        # Not by ``OccupancyGrid.crop``, so that the origin is rounded only once.
-        cells = cells[box.row0 : box.row1, box.col0 : box.col1]
-        corner = corner + np.array((box.col0, box.row0))
-    at = origin.compose(Pose2(*(float(value) for value in corner * resolution)))
-    return OccupancyGrid(cells, resolution, at, name)
+    return MapDrawer(device, Lattice(resolution, origin)).draw(scans, path, name)
+
+
+class MapDrawer:
+    """Draws a drive again and again: only scans that are new or moved.
+
+    The beams of the others stop where they met walls when they were drawn; if most scans have
+    moved, all are drawn. Counts are whole numbers, so that a scan can be taken back.
+    """
+
+    def __init__(self, device: ComputeDevice, lattice: Lattice) -> None:
+        """Start without scans; see ``draw_map``."""
+        self.lattice = lattice
+        self._device = device
+        self._clear()
+
+    def _clear(self) -> None:
+        self._laid: dict[float, _LaidScan] = {}
+        # By whole beams, and by beams that stop at walls.
+        self._whole, self._stopped = _Counts(self._device), _Counts(self._device)
+
+    def draw(self, scans: Sequence[ScanHits], path: Trajectory, name: str) -> OccupancyGrid:
+        """Return the map of the scans that have a pose in the path."""
+        resolution, origin = self.lattice.resolution, self.lattice.origin
+        placed, poses = _with_poses(scans, path, origin)
+        wanted = dict(zip((scan.stamp_s for scan in placed), map(tuple, poses), strict=True))
+        moved = [own for own in self._laid.values() if wanted.get(own.scan.stamp_s) != own.pose]
+        if 2 * len(moved) > len(self._laid):
+            self._clear()
+        elif moved:
+            self._take_back(moved)
+        fresh = [
+            _LaidScan(scan, wanted[scan.stamp_s])
+            for scan in placed
+            if scan.stamp_s not in self._laid
+        ]
+        if fresh:
+            self._lay(fresh)
+        hits, visits, corner = self._stopped.cells()
+        walls = _is_wall(hits, visits)
+        cells = np.where(walls, OCCUPIED, np.where(visits >= LEAST_VISITS, FREE, UNKNOWN))
+        cells = _without_specks(cells.astype(np.int8), LEAST_AREA_M2 / resolution**2)
+        box = known_box(cells)
+        if box is not None:
+            # Not by ``OccupancyGrid.crop``, so that the origin is rounded only once.
+            cells = cells[box.row0 : box.row1, box.col0 : box.col1]
+            corner = corner + np.array((box.col0, box.row0))
+        at = origin.compose(Pose2(*(float(value) for value in corner * resolution)))
+        return OccupancyGrid(cells, resolution, at, name)
+
+    def _lay(self, scans: Sequence[_LaidScan]) -> None:
+        """Count scans that are not counted yet, some at a time."""
+        resolution = self.lattice.resolution
+        parts = [scans[first : first + PART] for first in range(0, len(scans), PART)]
+        for part in parts:
+            whole = _Beams.of(part, resolution)
+            self._whole.count(whole, self._whole.place(whole), 1)
+        hits, visits, corner = self._whole.cells()
+        walls = _is_wall(hits, visits)
+        stopped = [
+            _cut_off(_Beams.of(part, resolution), walls, corner, self._device, resolution)
+            for part in parts
+        ]
+        self._stopped.cover(stopped)
+        for part, beams in zip(parts, stopped, strict=True):
+            ends = self._stopped.place(beams)
+            self._stopped.count(beams, ends, 1)
+            for own, first, last in zip(part, beams.firsts[:-1], beams.firsts[1:], strict=True):
+                own.ends, own.is_hit = ends[first:last], beams.is_hit[first:last]
+                self._laid[own.scan.stamp_s] = own
+
+    def _take_back(self, scans: Sequence[_LaidScan]) -> None:
+        """Take scans back that were counted."""
+        beams = _Beams.of(scans, self.lattice.resolution)
+        self._whole.count(beams, self._whole.place(beams), -1)
+        stopped = replace(beams, is_hit=np.concatenate([own.is_hit for own in scans]))
+        self._stopped.count(stopped, np.concatenate([own.ends for own in scans]), -1)
+        for own in scans:
+            del self._laid[own.scan.stamp_s]
+
+
+@dataclass(eq=False)
+class _LaidScan:
+    """A scan that is drawn.
+
+    Attributes:
+        pose: on the lattice, metres and radians.
+        ends, is_hit: its beams that stop at walls: see ``_Counts.place``, and ``_Beams``.
+    """
+
+    scan: ScanHits
+    pose: tuple[float, ...]
+    ends: I32 = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int32))
+    is_hit: B8 = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
 
 
 @dataclass(frozen=True, eq=False)
 class _Beams:
-    """All beams of a drive on the lattice, in cells.
+    """Beams of scans on the lattice, in cells.
 
     Attributes:
         lasers: (N, 2) float64, of each scan.
         ends: (B, 2) float64.
+        is_hit: (B,) bool, whether something is there.
         firsts: (N + 1,) int64, the beams of scan i are firsts[i] to firsts[i + 1] - 1.
     """
 
     lasers: F64
     ends: F64
+    is_hit: B8
     firsts: npt.NDArray[np.int64]
 
     @classmethod
-    def of(cls, scans: Sequence[ScanHits], poses: F64, resolution: float) -> _Beams:
-        """Place scans at (N, 3) poses on the lattice."""
-        hits = [scan.ends[:: -(-len(scan.ends) // MOST_BEAMS)] for scan in scans]
+    def of(cls, scans: Sequence[_LaidScan], resolution: float) -> _Beams:
+        """Place scans on the lattice."""
+        poses = np.array([own.pose for own in scans])
+        hits = [own.scan.ends[:: -(-len(own.scan.ends) // MOST_BEAMS)] for own in scans]
         sizes = np.array([len(own) for own in hits])
         of = np.repeat(np.arange(len(scans)), sizes)
-        lasers = np.array([scan.laser for scan in scans])
+        ends = np.concatenate(hits)
+        lasers = np.array([own.scan.laser for own in scans])
 
         def in_cells(points: F64) -> F64:
             return np.asarray(np.rint(points / resolution * POINT_PARTS) / POINT_PARTS)
 
         return cls(
             in_cells(transform_points(poses, lasers)),
-            in_cells(transform_points(poses, np.concatenate(hits), of)),
+            in_cells(transform_points(poses, ends, of)),
+            np.ones(len(ends), dtype=np.bool_),
             np.concatenate(([0], np.cumsum(sizes))).astype(np.int64),
         )
+
+    @property
+    def scans(self) -> npt.NDArray[np.int64]:
+        """The scan of each beam."""
+        return np.repeat(np.arange(len(self.lasers)), np.diff(self.firsts))
 
 
 def _with_poses(
@@ -136,26 +226,52 @@ def _with_poses(
     return [scans[index] for index in np.flatnonzero(meets).tolist()], poses
 
 
-def _count(
-    beams: _Beams, ends: F64, is_hit: npt.NDArray[np.bool_], device: ComputeDevice
-) -> tuple[npt.NDArray[np.uint32], npt.NDArray[np.int64]]:
-    """Count hits and visits of every cell."""
-    maps = SharedTileMaps(device, 1, {"counts": np.uint32, "sums": np.uint32})
-    here = np.array([[0.0, 0.0, 1.0, 0.0]], dtype=np.float32)
-    low = np.minimum(ends.min(axis=0), beams.lasers.min(axis=0))
-    high = np.maximum(ends.max(axis=0), beams.lasers.max(axis=0))
-    maps.cover(low - 1.0, high + 1.0)
-    lasers, inside = beams.lasers - maps.origin, ends - maps.origin
-    maps.make_writable(_pages_crossed(lasers, inside, beams.firsts, maps.pages.shape[1:])[None])
-    laser_cells, end_cells = lasers.astype(np.float32), inside.astype(np.float32)
-    marks = is_hit.astype(np.uint8)
-    pools, pages = maps.pools, maps.page_tables
-    for laser, first, last in zip(laser_cells, beams.firsts[:-1], beams.firsts[1:], strict=True):
-        scan = BeamScan(end_cells[first:last], marks[first:last], laser, here)
-        if device.count_beams(pools["counts"], pools["sums"], pages, scan):
-            halve_counts(device, pools)
-    counts, corner = maps.cells("counts", 0)
-    return counts.astype(np.uint32), np.asarray(corner, dtype=np.int64)
+class _Counts:
+    """Hits and visits of every cell."""
+
+    def __init__(self, device: ComputeDevice) -> None:
+        """Start with none."""
+        self._device = device
+        self._maps = SharedTileMaps(device, 1, {"hits": np.uint32, "visits": np.uint32})
+
+    def cover(self, parts: Sequence[_Beams]) -> None:
+        """Extend the window to some beams."""
+        points = [part for own in parts for part in (own.ends, own.lasers)]
+        low = np.min([part.min(axis=0) for part in points], axis=0)
+        self._maps.cover(low - 1.0, np.max([part.max(axis=0) for part in points], axis=0) + 1.0)
+
+    def place(self, beams: _Beams) -> I32:
+        """Return the ends of beams, (B, 2), in 1/1024 cell of the lattice, with tiles for them."""
+        self.cover([beams])
+        maps = self._maps
+        lasers, ends = beams.lasers - maps.origin, beams.ends - maps.origin
+        maps.make_writable(_pages_crossed(lasers, ends, beams.firsts, maps.pages.shape[1:])[None])
+        return np.asarray(_fixed(ends) + self._corner)
+
+    @property
+    def _corner(self) -> I32:
+        """The corner of the window in 1/1024 cell, (2,)."""
+        return np.asarray(self._maps.corner * (TILE * BEAM_ONE), dtype=np.int32)
+
+    def count(self, beams: _Beams, ends: I32, sign: int) -> None:
+        """Count beams with these ends, or with -1 take them back."""
+        maps = self._maps
+        hits, visits = maps.pools["hits"], maps.pools["visits"]
+        lasers = _fixed(beams.lasers - maps.origin)[beams.scans]
+        rows = np.concatenate((ends - self._corner, lasers), axis=1)
+        is_hit = beams.is_hit.astype(np.uint8)
+        self._device.count_walks(hits, visits, maps.page_tables, rows, is_hit, sign)
+
+    def cells(self) -> tuple[U32, U32, npt.NDArray[np.int64]]:
+        """Return hits and visits, (H, W), and the lattice's column and row of the first cell."""
+        hits, corner = self._maps.cells("hits", 0)
+        return hits, self._maps.cells("visits", 0)[0], corner
+
+
+def _fixed(cells: F64) -> I32:
+    """Return places, cells of the window, in 1/1024 cell, as float32 of the kernels has them."""
+    places = cells.astype(np.float32) * np.float32(BEAM_ONE)
+    return np.asarray(np.floor(places), dtype=np.int32)
 
 
 def _pages_crossed(
@@ -181,9 +297,8 @@ def _pages_crossed(
     return np.asarray(scipy.ndimage.binary_dilation(crossed, np.ones((3, 3), dtype=np.bool_)))
 
 
-def _is_wall(counts: npt.NDArray[np.uint32]) -> npt.NDArray[np.bool_]:
+def _is_wall(hits: U32, visits: U32) -> npt.NDArray[np.bool_]:
     """Return which cells are walls, (H, W) bool."""
-    hits, visits = counts >> 16, counts & 0xFFFF
     return np.asarray((hits >= LEAST_HITS) & (hits > WALL_SHARE * visits))
 
 
@@ -202,31 +317,22 @@ def _cut_off(
     corner: npt.NDArray[np.int64],
     device: ComputeDevice,
     resolution: float,
-) -> tuple[F64, npt.NDArray[np.bool_]]:
-    """Return (B, 2) ends of beams that stop at walls, and which of them still hit something."""
-    of = np.repeat(np.arange(len(beams.lasers)), np.diff(beams.firsts))
-    starts = beams.lasers[of]
+) -> _Beams:
+    """Return the beams stopped at walls; those that stop there hit nothing."""
+    starts = beams.lasers[beams.scans]
     along = beams.ends - starts
     length = np.hypot(along[:, 0], along[:, 1])
     direction = along / np.maximum(length, 1e-9)[:, None]
     rays = np.concatenate((starts - corner, direction), axis=1).astype(np.float32)
     cells = device.upload(np.where(walls, WALL, OPEN).astype(np.uint8))
     reach = float(length.max()) + 1.0
-    met = np.concatenate(
-        [
-            device.cast_rays(cells, rays[first : first + RAYS], reach)[:, 0]
-            for first in range(0, len(rays), RAYS)
-        ]
-    ).astype(np.float64)
+    met = device.cast_rays(cells, rays, reach)[:, 0].astype(np.float64)
     goes_on = met + BEYOND_M / resolution < length
     # Half a cell before the wall: this beam does not cross its cell.
     stop = np.where(goes_on, np.maximum(met - 0.5, 0.0), length)
     ends = np.where(goes_on[:, None], starts + stop[:, None] * direction, beams.ends)
-    return ends, ~goes_on & (length > 0.0) & np.isfinite(length)
-
-
-I8 = npt.NDArray[np.int8]
-B8 = npt.NDArray[np.bool_]
+    is_hit = ~goes_on & (length > 0.0) & np.isfinite(length)
+    return replace(beams, ends=ends, is_hit=is_hit)
 
 
 def fuse_with_drawn(

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -167,15 +168,18 @@ class Patches:
 
 
 def _along(offsets: F64, normals: F64) -> tuple[F64, F64]:
-    """Return offsets, (B, 2), along normals and to the left of them, (B,) each."""
-    across_m = np.asarray((offsets * normals).sum(axis=1), dtype=np.float64)
-    return across_m, offsets[:, 1] * normals[:, 0] - offsets[:, 0] * normals[:, 1]
+    """Return offsets, (..., 2), along normals and to the left of them, (...) each."""
+    across_m = np.asarray((offsets * normals).sum(axis=-1), dtype=np.float64)
+    return across_m, offsets[..., 1] * normals[..., 0] - offsets[..., 0] * normals[..., 1]
 
 
 def _slopes(arms: F64, normals: F64) -> F64:
-    """Return how places along normals change with a scan's pose, (B, 3); arms start at the scan."""
-    turning = arms[:, 0] * normals[:, 1] - arms[:, 1] * normals[:, 0]
-    return np.column_stack((normals, turning))
+    """Return how places along normals, (..., 2), change with a scan's pose, (..., 3).
+
+    ``arms`` lead from the scan to the places.
+    """
+    turning = arms[..., 0] * normals[..., 1] - arms[..., 1] * normals[..., 0]
+    return np.concatenate((normals, turning[..., None]), axis=-1)
 
 
 def _turned_rad(facings_rad: F64, to_laser: F64) -> F64:
@@ -183,11 +187,15 @@ def _turned_rad(facings_rad: F64, to_laser: F64) -> F64:
     return wrap_angles(facings_rad - np.arctan2(to_laser[:, 1], to_laser[:, 0]))
 
 
-def _keys(places: F64, facings_rad: F64, number: int) -> I64:
-    """Return a number for the patch of each hit, (B,), on a round's lattice: by place and side."""
-    cells = np.floor(places / PATCH_M + number % MOVES / MOVES).astype(np.int64)
+def _keys(places: F64, facings_rad: F64, number: int | I64) -> I64:
+    """Return a number for the patch of each hit on a round's lattice: by place and side.
+
+    (B,) of one round, or (L, B) of the (L, 1) numbers of several.
+    """
+    moved = np.asarray(number % MOVES / MOVES)[..., None]
+    cells = np.floor(places / PATCH_M + moved).astype(np.int64)
     side = np.rint(facings_rad * FACINGS / (2.0 * np.pi) + number % TURNS / TURNS).astype(np.int64)
-    return np.asarray((cells[:, 0] * ROW + cells[:, 1]) * FACINGS + side % FACINGS)
+    return np.asarray((cells[..., 0] * ROW + cells[..., 1]) * FACINGS + side % FACINGS)
 
 
 def _means(of: I64, sizes: I64, values: F64) -> F64:
@@ -251,23 +259,49 @@ class ScanMatch:
     fits: bool
 
 
+class Walls(NamedTuple):
+    """Patches that are walls, of the lattices 0 to ``MOVES`` - 1.
+
+    Attributes:
+        keys: (P,) int64, rising: ``MOVES`` times the patch's key, and its lattice.
+        middles, normals, lines: as in ``Patches``, (P, 2) float64.
+    """
+
+    keys: I64
+    middles: F64
+    normals: F64
+    lines: F64
+
+    @classmethod
+    def of(cls, lattices: Sequence[Patches]) -> Walls:
+        """Take the walls of some lattices."""
+        keys = np.concatenate([MOVES * own.keys[own.is_wall] + own.number for own in lattices])
+        order = np.argsort(keys)
+        middles, normals, lines = (
+            np.concatenate([getattr(own, name)[own.is_wall] for own in lattices])[order]
+            for name in ("middles", "normals", "lines")
+        )
+        return cls(keys[order], middles, normals, lines)
+
+
 @dataclass(frozen=True, eq=False)
 class WallMap:
     """The walls that the scans of a drive show at the poses of a path.
 
     Attributes:
+        walls: of the drive, and of what was seen since.
         spread_m: deviation of a hit about its wall, metres.
         covariance: (3, 3) float64, of the walls' place in the frame of the path: x and y in metres,
             yaw in radians.
     """
 
-    lattices: Sequence[Patches]
+    walls: tuple[Walls, ...]
     spread_m: float
     covariance: F64
 
     @classmethod
     def of(cls, scans: JudgedScans, path: Trajectory, covariance: F64) -> WallMap | None:
-        """Draw the walls; None where no scan with a pose sees a surface."""
+        """Draw the walls; None where no scan with a pose sees one."""
         given, is_own = cover_stamps(path, scans)
         kept = np.flatnonzero(is_own)
         hits = SurfaceHits.of(scans, kept)
@@ -275,13 +309,16 @@ class WallMap:
             return None
         poses = given[kept]
         lattices = [Patches.at(hits, poses, number, by_kind=False) for number in range(MOVES)]
+        walls = Walls.of(lattices)
+        if not len(walls.keys):
+            return None
         far_m = np.concatenate([np.abs(own.away_m[own.weights > 0.0]) for own in lattices])
         usual_m = float(np.median(far_m)) if len(far_m) else 0.0
-        return cls(lattices, max(FROM_MEDIAN * usual_m, LEAST_SPREAD_M), covariance)
+        return cls((walls,), max(FROM_MEDIAN * usual_m, LEAST_SPREAD_M), covariance)
 
     def joined(self, seen: WallMap) -> WallMap:
         """Return these walls with others, which stand as sure as those."""
-        return replace(seen, lattices=(*self.lattices, *seen.lattices), spread_m=self.spread_m)
+        return replace(seen, walls=(*self.walls, *seen.walls), spread_m=self.spread_m)
 
     def match(self, scan: ScanHits, place: Pose2, covariance: F64) -> ScanMatch:
         """Find where a scan lies on these walls, near a place that is expected with a covariance.
@@ -298,7 +335,7 @@ class WallMap:
             slopes, away_m, is_known = self._measure(points, facings_rad, pose)
             weights = geman_mcclure(away_m / max(scale_m, 2.0 * self.spread_m))
             weights *= is_known * (np.abs(away_m) < REACH_M)
-            weights *= self.spread_m**-2.0 / len(self.lattices)
+            weights *= self.spread_m**-2.0 / (MOVES * len(self.walls))
             information = prior + (weights[:, None] * slopes).T @ slopes
             moved = pose - expected
             moved[2] = wrap_angle(moved[2])
@@ -315,15 +352,17 @@ class WallMap:
         """Return (L * H, ...) derivatives by the pose (3), distances (m), and whether known."""
         cos, sin = np.cos(pose[2]), np.sin(pose[2])
         arms = points @ np.array(((cos, sin), (-sin, cos)))
-        places, sides_rad = pose[:2] + arms, facings_rad + pose[2]
+        places = pose[:2] + arms
+        numbers = np.arange(MOVES)[:, None]
+        keys = MOVES * _keys(places, facings_rad + pose[2], numbers) + numbers
         found = []
-        for own in self.lattices:
-            keys = _keys(places, sides_rad, own.number)
+        for own in self.walls:
             at = np.minimum(np.searchsorted(own.keys, keys), len(own.keys) - 1)
-            normal = own.normals[at]
-            across_m, sides_m = _along(places - own.middles[at], normal)
-            away_m = across_m - own.lines[at, 0] - own.lines[at, 1] * sides_m
-            is_known = (own.keys[at] == keys) & own.is_wall[at]
-            found.append((_slopes(arms, normal), away_m, is_known))
+            normals, lines = own.normals[at], own.lines[at]
+            across_m, sides_m = _along(places - own.middles[at], normals)
+            away_m = across_m - lines[..., 0] - lines[..., 1] * sides_m
+            is_known = own.keys[at] == keys
+            slopes = _slopes(arms, normals)
+            found.append((slopes.reshape(-1, 3), away_m.ravel(), is_known.ravel()))
         slopes, distances_m, are_known = (np.concatenate(part) for part in zip(*found, strict=True))
         return slopes, distances_m, are_known

@@ -34,7 +34,7 @@ from slamfusion.evidence.beams import (
     scan_hits,
 )
 from slamfusion.evidence.conditions import Condition, drive_conditions
-from slamfusion.evidence.drawn_map import draw_map
+from slamfusion.evidence.drawn_map import MapDrawer
 from slamfusion.evidence.fused_path import visits
 from slamfusion.evidence.parting import parted, path_gaps
 from slamfusion.evidence.patches import LEAST_HITS, ScanMatch, WallMap
@@ -157,6 +157,7 @@ class LiveDrive:
         self._solved = 0
         self._path: Trajectory | None = None
         self._lattice: Lattice | None = None
+        self._drawer: MapDrawer | None = None
         # The stamp of the last scan that a solution of the whole drive has.
         self._whole_until_s = -np.inf
         self._doubts: Mapping[str, str] = {}
@@ -333,6 +334,7 @@ class LiveDrive:
             if self._solved != generation:
                 self._solved = generation
                 self._path, self._lattice, self._doubts = None, None, {}
+                self._drawer = None
             kept = list(self._scans)
             poses = {name: np.array(own) for name, own in self._poses.items() if own}
             blind_s = np.array(self._blind_s)
@@ -361,14 +363,9 @@ class LiveDrive:
         drawn = None
         if resolution is not None:
             self._lattice = own_lattice
-            drawn = draw_map(
-                kept,
-                path,
-                self._device,
-                resolution=own_lattice.resolution,
-                origin=own_lattice.origin,
-                name=DRAWN,
-            )
+            if self._drawer is None or self._drawer.lattice != own_lattice:
+                self._drawer = MapDrawer(self._device, own_lattice)
+            drawn = self._drawer.draw(kept, path, DRAWN)
         if self._generation != generation:
             return None  # it was forgotten meanwhile
         corrections = {name: _correction(own, path) for name, own in paths.items()}

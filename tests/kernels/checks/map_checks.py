@@ -282,6 +282,20 @@ def _count_beams(device: ComputeDevice, sample: Sample) -> Arrays:
     return results
 
 
+def _count_walks(device: ComputeDevice, sample: Sample) -> Arrays:
+    pages, (hits, visits, _) = _hit_maps(sample)
+    rng, size = sample.rng, np.array(pages.shape[:0:-1]) * TILE * BEAM_ONE
+    beams = (rng.random((57, 4)) * np.tile(size, 2)).astype(np.int32)
+    beams[0, 2:] = beams[0, :2]
+    is_hit = (rng.random(len(beams)) < 0.7).astype(np.uint8)
+    pools, table = (device.upload(hits), device.upload(visits)), device.upload(pages[:1])
+    results: Arrays = []
+    for some, sign in ((beams, 1), (beams[:0], 1), (beams[::2], -1)):
+        device.count_walks(*pools, table, some, is_hit[: len(some)], sign)
+        results += [array.copy() for array in fetch(device, pools)]
+    return results
+
+
 def _count_and_settle(device: ComputeDevice, sample: Sample) -> Arrays:
     pages, pools = _hit_maps(sample)
     table, scan = device.upload(pages), _beam_scan(sample, pages)
@@ -352,6 +366,7 @@ MAP_CHECKS: dict[str, Check] = {
     "copy_tiles": _copy_tiles,
     "take_tiles": _take_tiles,
     "count_beams": _count_beams,
+    "count_walks": _count_walks,
     "count_and_settle": _count_and_settle,
     "mark_chunks": _mark_chunks,
     "nearest_marks": _nearest_marks,
