@@ -14,12 +14,11 @@ from slamfusion.align.hypotheses import mirror_gain
 from slamfusion.align.pair import Pair
 from slamfusion.align.records import Alignment
 from slamfusion.align.starts import StartPose, Starts
-from slamfusion.compute import ComputeDevice
-from slamfusion.config import FusionConfig, LiveConfig
-from slamfusion.fusion.live.inputs import CHANGED_SHARE, Fit, Input, Jump, Reason
+from slamfusion.config import LiveConfig
+from slamfusion.fusion.live.inputs import Fit, Input, Jump, Reason
+from slamfusion.fusion.live.voting import FusedLayers
 from slamfusion.geometry import Pose2
 from slamfusion.grid import IDENTITY
-from slamfusion.vote.lattice import Lattice
 
 # Transforms with a greater turn between them are two places, as with ``live.jump_m``.
 JUMP_RAD = 0.05
@@ -71,40 +70,27 @@ class Aligner:
     """Aligns inputs, one at a time, and keeps the search results.
 
     Attributes:
-        lattice: of the fused frame; None before the first fusion.
+        layers: the fused frame, with the settings.
         has_searched: whether this round searched an input everywhere.
         starts: where inputs are expected until they have a place in the fused frame.
     """
 
-    def __init__(
-        self,
-        config: FusionConfig,
-        live: LiveConfig,
-        device: ComputeDevice,
-        starts: Starts | None = None,
-    ) -> None:
-        """Start without a frame."""
-        self.config = config
-        self.live = live
-        self.lattice: Lattice | None = None
+    def __init__(self, layers: FusedLayers, starts: Starts) -> None:
+        self.layers, self.starts = layers, starts
         self.has_searched = False
         self.now_s = 0.0
-        self.device = device
-        self.starts = starts or Starts()
         self._found: dict[frozenset[str], LastSearch] = {}
 
     # -- what is aligned --------------------------------------------------------------------------
 
-    def fixed(self) -> Lattice:
-        """Return the lattice of the fused frame, which must be fixed."""
-        if self.lattice is None:
-            raise ValueError("nothing was fused yet")
-        return self.lattice
+    @property
+    def live(self) -> LiveConfig:
+        """The settings."""
+        return self.layers.live
 
     def features(self, track: Input) -> GridFeatures:
         """Return the features of an input's map."""
-        size, thresholds = self.fixed().resolution, self.config.normalize
-        return track.features(size, thresholds, CHANGED_SHARE, self.device)
+        return track.features(self.layers.fixed.resolution)
 
     def held(self, track: Input) -> AnchorMap:
         """Return an input as an anchor for others."""
@@ -121,9 +107,8 @@ class Aligner:
         """The scores of the searches, by the names of the pair."""
         return {pair: found.score for pair, found in self._found.items()}
 
-    def restore(self, lattice: Lattice, scores: Mapping[frozenset[str], float]) -> None:
-        """Restore the fused frame of an earlier run, and its search scores; shares start at 1."""
-        self.lattice = lattice
+    def restore(self, scores: Mapping[frozenset[str], float]) -> None:
+        """Restore the search scores of an earlier run; shares start at 1."""
         self._found = {pair: LastSearch(score) for pair, score in scores.items()}
 
     def remove(self, name: str) -> None:
@@ -238,7 +223,9 @@ class Aligner:
         if is_swapped:
             sides = Pair(own, held.features)
             where = None if start is None else start.inverse()
-        pair = align_pair(sides, self.config.align, where, thorough=False, image_after=MAY_BE_IMAGE)
+        pair = align_pair(
+            sides, self.layers.config.align, where, thorough=False, image_after=MAY_BE_IMAGE
+        )
         track.searches += 1
         if is_swapped:
             pair = replace(pair, transform=pair.transform.inverse())
@@ -253,7 +240,7 @@ class Aligner:
 
     def is_worth_a_move(self, track: Input, a: Pose2, b: Pose2) -> bool:
         """Whether two transforms of an input's map differ enough to use the new one."""
-        return track.apart(a, b)[2] >= self.live.hold_cells * self.fixed().resolution
+        return track.apart(a, b)[2] >= self.live.hold_cells * self.layers.fixed.resolution
 
     def accept(self, track: Input, moved: Pose2, pair: Alignment, *, is_tracked: bool) -> None:
         """Let an input vote, at its old transform if the new one is nearly the same."""
@@ -282,7 +269,7 @@ class Aligner:
             return fit
         maps = Pair(reference, self.features(track))
         motion = maps.motion_of(pair.transform)
-        gain = mirror_gain(maps, motion, self.config.align)
+        gain = mirror_gain(maps, motion, self.layers.config.align)
         refused = decide_mirrored(gain)
         if refused is None:
             return fit

@@ -122,15 +122,18 @@ class LiveFusion(Mailbox):
         self._clear()
 
     def _clear(self) -> None:
-        self._aligner = Aligner(self._config, self._live, self._device, self._starts)
         self._layers = FusedLayers(self._config, self._live, self._device)
-        self._supervisor = InputSupervisor(self._aligner, self._layers)
+        self._aligner = Aligner(self._layers, self._starts)
+        self._supervisor = InputSupervisor(self._aligner)
         self._inputs = self._supervisor.inputs
         with self._lock:
             self._poses = PoseWatch(self._live)
         self._restored: dict[str, Pose2] = {}
         self._said: Evidence | None = None
-        self._drawn = Input(DRAWN, transform=IDENTITY)
+        self._drawn = self._input(DRAWN, IDENTITY)
+
+    def _input(self, name: str, transform: Pose2 | None) -> Input:
+        return Input(name, self._config.normalize, self._device, transform=transform)
 
     # -- what comes, beside maps ------------------------------------------------------------------
 
@@ -156,9 +159,7 @@ class LiveFusion(Mailbox):
 
     def configure(self, live: LiveConfig) -> None:
         """Change the settings; in the thread of updates."""
-        self._live = live
-        self._aligner.live = live
-        self._layers.live = live
+        self._live = self._layers.live = live
         with self._lock:
             self._poses.live = live
 
@@ -200,7 +201,7 @@ class LiveFusion(Mailbox):
             message = f"the state has cells of {found:g} m, and resolution asks for {wanted:g} m"
             raise StateError(message)
         self._refill()
-        self._aligner.restore(state.lattice, state.scores)
+        self._aligner.restore(state.scores)
         self._supervisor.problem = "no input has come yet"
         self._layers.restore(state)
         self._restored = dict(state.transforms)
@@ -222,7 +223,6 @@ class LiveFusion(Mailbox):
         clock.append(time.perf_counter())
         self._supervisor.align(now_s, is_idle=not has_news)
         self._place()
-        self._layers.lattice = self._aligner.lattice
         clock.append(time.perf_counter())
         box = self._vote()
         fused, agreement = (None, None) if box is None else self._layers.grids()
@@ -250,7 +250,7 @@ class LiveFusion(Mailbox):
         drawn = evidence.drawn
         if drawn is not None and unusable(drawn, self._config.normalize):
             evidence, drawn = replace(evidence, drawn=None), None
-        lattice = self._aligner.lattice
+        lattice = self._layers.lattice
         if drawn is not None and lattice is None:
             first = evidence.lattice.cell_of(drawn) or (0, 0)
             agreement = np.where(drawn.cells < 0, -1, 100).astype(np.int8)
@@ -260,13 +260,12 @@ class LiveFusion(Mailbox):
         self._said = evidence
         if drawn is not None and lattice == evidence.lattice:
             track = self._drawn
-            resolution, thresholds = lattice.resolution, self._config.normalize
-            change = track.follow(drawn.with_name(DRAWN), resolution, thresholds, self._device)
+            change = track.follow(drawn.with_name(DRAWN), lattice.resolution)
             track.accept(Reason.DRAWN)
             if change is not None:
                 self._layers.note(DRAWN, change.box)
         else:
-            self._drawn = Input(DRAWN, transform=IDENTITY)
+            self._drawn = self._input(DRAWN, IDENTITY)
         return True
 
     def _vote(self) -> CellBox | None:
@@ -293,7 +292,7 @@ class LiveFusion(Mailbox):
             with self._lock:
                 self._poses.remove(name)
         for name, item in fresh.items():
-            track = self._inputs.setdefault(name, Input(name, transform=self._restored.get(name)))
+            track = self._inputs.setdefault(name, self._input(name, self._restored.get(name)))
             if item.gone is not None:
                 track.turn(Reason.GONE, why=item.gone)
             elif why := self._take(track, item):
@@ -330,7 +329,7 @@ class LiveFusion(Mailbox):
                 or too_large(grid, resolution or grid.resolution)
             ):
                 return reason
-            change = track.follow(grid, resolution, thresholds, self._device)
+            change = track.follow(grid, resolution)
         except SlamFusionError as error:
             return str(error)
         except MemoryError:
@@ -346,7 +345,7 @@ class LiveFusion(Mailbox):
     @property
     def lattice(self) -> Lattice | None:
         """Of the fused frame; None before the first fusion."""
-        return self._aligner.lattice
+        return self._layers.lattice
 
     @property
     def resolution(self) -> float | None:

@@ -157,6 +157,7 @@ class Input:
     """The state of one input.
 
     Attributes:
+        thresholds, device: for its map.
         grid: its newest map; None before the first, and while that cannot be used.
         version: counts the maps that differed from the previous one.
         layer: ``grid`` at the fused resolution; None before the first fusion.
@@ -172,6 +173,8 @@ class Input:
     """
 
     name: str
+    thresholds: NormalizeConfig
+    device: ComputeDevice
     grid: OccupancyGrid | None = None
     version: int = 0
     layer: Layer | None = None
@@ -260,18 +263,12 @@ class Input:
 
     # -- its map ----------------------------------------------------------------------------------
 
-    def place(self, resolution: float, thresholds: NormalizeConfig, device: ComputeDevice) -> None:
+    def place(self, resolution: float) -> None:
         """Compute the layer at the fused resolution."""
         if self.grid is not None:
-            self.layer = lay_out(self.grid, None, resolution, thresholds, device)
+            self.layer = lay_out(self.grid, None, resolution, self.thresholds, self.device)
 
-    def follow(
-        self,
-        grid: OccupancyGrid,
-        resolution: float | None,
-        thresholds: NormalizeConfig,
-        device: ComputeDevice,
-    ) -> Change | None:
+    def follow(self, grid: OccupancyGrid, resolution: float | None) -> Change | None:
         """Set a new map; return its changes, None if unknown.
 
         ``resolution`` is that of the fused map; None before the first fusion.
@@ -286,10 +283,10 @@ class Input:
             self.version += 1
             self._features = None
             if resolution is not None:
-                self.place(resolution, thresholds, device)
+                self.place(resolution)
             return None
-        layer = lay_out(grid, before.lattice, resolution, thresholds, device)
-        change = compare(before, layer, thresholds, device)
+        layer = lay_out(grid, before.lattice, resolution, self.thresholds, self.device)
+        change = compare(before, layer, self.thresholds, self.device)
         self.layer = layer
         if change.box is None:
             return change
@@ -300,12 +297,12 @@ class Input:
             self.young_below = 0.0
         self.drift += change.walls
         self._changed += change.walls
-        if not (change.is_steady(STEADY_SHARE) and self._is_steady(thresholds, device)):
+        if not (change.is_steady(STEADY_SHARE) and self._is_steady()):
             self.turn(Reason.MOVED)
             self._features = None
         return change
 
-    def _is_steady(self, thresholds: NormalizeConfig, device: ComputeDevice) -> bool:
+    def _is_steady(self) -> bool:
         """Whether the walls remain as in the map that was accepted last."""
         if self._key is None or self.layer is None:
             return True
@@ -313,24 +310,20 @@ class Input:
         if self._changed - compared <= CHANGED_SHARE * self.walls:
             return True
         self._key = before, self._changed
-        return compare(before, self.layer, thresholds, device).is_steady(STEADY_SHARE)
+        changed = compare(before, self.layer, self.thresholds, self.device)
+        return changed.is_steady(STEADY_SHARE)
 
-    def features(
-        self,
-        resolution: float,
-        thresholds: NormalizeConfig,
-        stale_share: float,
-        device: ComputeDevice,
-    ) -> GridFeatures:
+    def features(self, resolution: float) -> GridFeatures:
         """Return the alignment's features, of an older map while few walls have changed."""
         if self._features is not None:
             features, changed = self._features
-            if self._changed - changed <= stale_share * self.walls:
+            is_like = features.grid.grid.resolution == resolution
+            if is_like and self._changed - changed <= CHANGED_SHARE * self.walls:
                 return features
         if self.grid is None:
             raise ValueError(f"{self.name} has no map")
-        normalized = normalize_grid(self.grid, resolution, thresholds, device)
-        features = GridFeatures(normalized, device)
+        normalized = normalize_grid(self.grid, resolution, self.thresholds, self.device)
+        features = GridFeatures(normalized, self.device)
         self._features = features, self._changed
         return features
 

@@ -17,7 +17,6 @@ from slamfusion.align.records import Alignment
 from slamfusion.fusion.live.align import Aligner, AnchorMap, explained
 from slamfusion.fusion.live.inputs import GROWN_SHARE, Input, Reason
 from slamfusion.fusion.live.limits import unusable
-from slamfusion.fusion.live.voting import FusedLayers
 from slamfusion.geometry import Pose2
 from slamfusion.grid import IDENTITY, OccupancyGrid
 
@@ -33,9 +32,9 @@ Placed = tuple[Input, Alignment, Pose2]
 
 def hold_map(fused: OccupancyGrid | None, name: str, aligner: Aligner) -> AnchorMap | None:
     """Return a fused map as something to align to; None without walls."""
-    if fused is None or unusable(fused, aligner.config.normalize) is not None:
+    thresholds, device = aligner.layers.config.normalize, aligner.layers.device
+    if fused is None or unusable(fused, thresholds) is not None:
         return None
-    thresholds, device = aligner.config.normalize, aligner.device
     normal = normalize_grid(fused, fused.resolution, thresholds, device)
     return AnchorMap(name, IDENTITY, GridFeatures(normal, device))
 
@@ -47,14 +46,14 @@ class Anchor:
         held: that map; None where there is none, or it is outgrown.
     """
 
-    def __init__(self, aligner: Aligner, layers: FusedLayers) -> None:
-        """Start without one; ``layers`` have the last fused map."""
+    def __init__(self, aligner: Aligner) -> None:
+        """Start without one."""
         self.held: AnchorMap | None = None
         # The last fused map from before an input's map restarted.
         self._before: AnchorMap | None = None
         # The reference that was laid onto the map last, and its walls then.
         self._settled: tuple[str, int] = ("", 0)
-        self._aligner, self._layers = aligner, layers
+        self._aligner = aligner
 
     @property
     def walls(self) -> int:
@@ -69,7 +68,7 @@ class Anchor:
     def note_restart(self) -> None:
         """Remember the last fused map, since the map of an input has restarted and knows less."""
         if self._before is None:
-            self._before = hold_map(self._layers.last_fused(), LAST_FUSED, self._aligner)
+            self._before = hold_map(self._aligner.layers.last_fused(), LAST_FUSED, self._aligner)
 
     def look(self, inputs: Collection[Input]) -> None:
         """Forget that map when all know more."""
@@ -143,7 +142,7 @@ class Anchor:
         names = "/".join(one.name for one in inputs)
         if not self._is_due(inputs, names):
             return None, None
-        last = hold_map(self._layers.last_fused(), LAST_FUSED, aligner)
+        last = hold_map(self._aligner.layers.last_fused(), LAST_FUSED, aligner)
         if last is None:
             return None, _doubt(inputs, Reason.FEW_WALLS, other=LAST_FUSED)
         _doubt(inputs, Reason.NO_FIT, other=LAST_FUSED)
@@ -155,7 +154,7 @@ class Anchor:
         rivals = [one for one in placed if one.name in found or one.fit.may_be_bent]
         group = self._largest_group([one for one, _, _ in found.values()])
         if len(group) == 1 and len(rivals) > 1:
-            kept = hold_map(self._layers.agreed, LAST_AGREED, aligner)
+            kept = hold_map(aligner.layers.agreed, LAST_AGREED, aligner)
             fits = {} if kept is None else self._fitting(rivals, kept)
             enough = aligner.live.search_share * max(map(_share, fits.values()), default=0.0)
             fits = {name: fit for name, fit in fits.items() if _share(fit) >= enough}

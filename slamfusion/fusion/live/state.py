@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from slamfusion.errors import SlamFusionError
-from slamfusion.geometry import Pose2
+from slamfusion.geometry import Pose2, row_of
 from slamfusion.grid import UNKNOWN, CellBox, OccupancyGrid
 from slamfusion.vote.lattice import Lattice
 
@@ -92,10 +92,10 @@ class LiveState:
         """Return the state as bytes, the same for equal states."""
         record = {
             "resolution": self.lattice.resolution,
-            "origin": _numbers(self.lattice.origin),
+            "origin": row_of(self.lattice.origin).tolist(),
             "first": [self.row, self.col],
             "shape": list(self.fused.shape),
-            "transforms": {name: _numbers(pose) for name, pose in self.transforms.items()},
+            "transforms": {name: row_of(pose).tolist() for name, pose in self.transforms.items()},
             "reference": self.reference,
             "scores": [[*sorted(pair), score] for pair, score in self.scores.items()],
             "stamp_s": self.stamp_s,
@@ -125,12 +125,15 @@ class LiveState:
             row, col = (int(index) for index in record["first"])
             fused, agreement = np.frombuffer(cells, dtype=np.int8).reshape(shape)
             return cls(
-                Lattice(float(record["resolution"]), _pose(record["origin"])),
+                Lattice(float(record["resolution"]), Pose2(*map(float, record["origin"]))),
                 row,
                 col,
                 fused,
                 agreement,
-                {str(name): _pose(numbers) for name, numbers in record["transforms"].items()},
+                {
+                    str(name): Pose2(*map(float, numbers))
+                    for name, numbers in record["transforms"].items()
+                },
                 str(record["reference"]),
                 {frozenset((str(a), str(b))): float(score) for a, b, score in record["scores"]},
                 float(record["stamp_s"]),
@@ -143,12 +146,3 @@ class LiveState:
 def is_state(data: bytes) -> bool:
     """Return whether bytes start as a state of any version does, damaged or not."""
     return data.startswith(KIND + b" ")
-
-
-def _numbers(pose: Pose2) -> list[float]:
-    return [pose.x, pose.y, pose.yaw_rad]
-
-
-def _pose(numbers: list[float]) -> Pose2:
-    x, y, yaw_rad = (float(number) for number in numbers)
-    return Pose2(x, y, yaw_rad)

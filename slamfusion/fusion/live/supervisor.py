@@ -15,7 +15,6 @@ from slamfusion.fusion.live.inputs import CHANGED_SHARE, RESTARTED_SHARE, Input,
 from slamfusion.fusion.live.layers import Change
 from slamfusion.fusion.live.limits import too_large
 from slamfusion.fusion.live.recovery import Anchor
-from slamfusion.fusion.live.voting import FusedLayers
 from slamfusion.vote.lattice import Lattice
 
 NEVER = float("-inf")
@@ -34,12 +33,12 @@ class InputSupervisor:
         anchor: the last fused map, while it knows more than the inputs do.
     """
 
-    def __init__(self, aligner: Aligner, layers: FusedLayers) -> None:
-        """Start without inputs; ``layers`` have the last fused map."""
+    def __init__(self, aligner: Aligner) -> None:
+        """Start without inputs."""
         self.inputs: dict[str, Input] = {}
         self.reference = ""
         self.problem = "no map yet"
-        self.anchor = Anchor(aligner, layers)
+        self.anchor = Anchor(aligner)
         self._aligner = aligner
         self._tried: tuple[float, tuple[tuple[str, int], ...]] = (NEVER, ())
 
@@ -65,7 +64,7 @@ class InputSupervisor:
         """Align new, returned and changed inputs; ``is_idle``: no new map waits for the result."""
         self._aligner.now_s = now_s
         self._aligner.has_searched = False
-        if self._aligner.lattice is None:
+        if self._aligner.layers.lattice is None:
             self._start()
             return
         self.anchor.look(self.inputs.values())
@@ -108,7 +107,7 @@ class InputSupervisor:
         reasons = odd_resolutions({name: grid.resolution for name, grid in grids.items()})
         rest = [grid for name, grid in grids.items() if name not in reasons]
         for grid in rest:
-            reason = too_large(grid, common_resolution(rest, self._aligner.config.normalize))
+            reason = too_large(grid, common_resolution(rest, self._aligner.layers.config.normalize))
             if reason is not None:
                 reasons[grid.name] = reason
         for name, why in reasons.items():
@@ -122,15 +121,13 @@ class InputSupervisor:
             SlamFusionError: too few agree, or memory cannot hold them; in one line.
         """
         aligner = self._aligner
-        config, device = aligner.config, aligner.device
+        config, device = aligner.layers.config, aligner.layers.device
         # The walls of the reference are what the others are compared with until it is lost.
         config = replace(config, reference=config.reference or SMALLEST)
         grids = [one.grid for one in usable if one.grid is not None]
         resolution = common_resolution(grids, config.normalize)
         try:
-            features = {
-                one.name: one.features(resolution, config.normalize, -1.0, device) for one in usable
-            }
+            features = {one.name: one.features(resolution) for one in usable}
             group = align_group(features, {}, config, device, list(features), starts=aligner.starts)
         except MemoryError:
             message = f"no memory is left to align {len(usable)} maps at {resolution:g} m a cell"
@@ -143,14 +140,14 @@ class InputSupervisor:
     def _accept_first(self, group: AlignedGroup, lattice: Lattice) -> None:
         """Fix the fused frame, lay every map out on its lattice, and let the group vote."""
         aligner = self._aligner
-        aligner.lattice, self.reference = lattice, group.reference
-        size, thresholds = lattice.resolution, aligner.config.normalize
+        aligner.layers.lattice, self.reference = lattice, group.reference
+        size = lattice.resolution
         for one in self.inputs.values():
             if one.grid is None:
                 continue
             reason = odd_resolution(one.grid.resolution, size) or too_large(one.grid, size)
             if reason is None:
-                one.place(size, thresholds, aligner.device)
+                one.place(size)
             elif one.is_live:
                 one.refuse_map(reason)
         for name, pair in group.alignments.items():

@@ -68,7 +68,8 @@ class FusedLayers:
     so that an input which leaves for a while does not change the published size.
 
     Attributes:
-        live: its ``extent`` counts; may be replaced.
+        config: gives the vote and its thresholds.
+        live: may be replaced.
         lattice: of the fused frame; None before the first fusion.
         box: cells of the lattice that are kept; None before the first ``grow``.
         names: the last voters; ``wall_agreement`` and ``bent`` are theirs, see ``Fusion``.
@@ -77,8 +78,8 @@ class FusedLayers:
     """
 
     def __init__(self, config: FusionConfig, live: LiveConfig, device: ComputeDevice) -> None:
-        """Start without cells; ``config`` gives the vote and its thresholds."""
-        self.live = live
+        """Start without cells."""
+        self.config, self.live, self.device = config, live, device
         self.lattice: Lattice | None = None
         self.box: CellBox | None = None
         self.names: tuple[str, ...] = ()
@@ -86,8 +87,6 @@ class FusedLayers:
         self.bent: dict[str, Bent] = {}
         self.has_young = False
         self.agreed: OccupancyGrid | None = None
-        self._config = config
-        self._device = device
         self._laid: dict[str, LaidInput] = {}
         self._trust: Trust | None = None
         # Agreeing walls of the voters and the cells of the last vote.
@@ -100,7 +99,7 @@ class FusedLayers:
         ).view(np.uint8)
 
     @property
-    def _fixed(self) -> Lattice:
+    def fixed(self) -> Lattice:
         """The lattice, which must be fixed."""
         if self.lattice is None:
             raise ValueError("nothing was fused yet")
@@ -179,7 +178,7 @@ class FusedLayers:
             return None
         if self.live.extent == "reference" and track.name != reference:
             return None
-        return self._fixed.box_of(track.layer.known, track.layer.lattice, track.transform)
+        return self.fixed.box_of(track.layer.known, track.layer.lattice, track.transform)
 
     def note(self, name: str, changed: CellBox | None) -> None:
         """Record the cells of an input's lattice that its new map changed."""
@@ -259,7 +258,7 @@ class FusedLayers:
         laid = self._laid[name]
         before = laid.covered
         laid.place, laid.changed = (layer.lattice, transform), None
-        now = overlap(self._fixed.box_of(layer.known, layer.lattice, transform), box)
+        now = overlap(self.fixed.box_of(layer.known, layer.lattice, transform), box)
         if changed is None:
             target = now
             if before is not None:
@@ -267,21 +266,21 @@ class FusedLayers:
             touched = now if before is None or now is None else hull(before, now)
             touched = touched or before
         else:
-            near = self._fixed.box_of(changed, layer.lattice, transform)
+            near = self.fixed.box_of(changed, layer.lattice, transform)
             target = touched = overlap(padded(near, 1), box)
         laid.covered = now
         if before is not None and now is not None and changed is not None:
             laid.covered = hull(before, now)
         if target is not None:
-            cells = carry(layer, transform, self._fixed, target, self._device)
+            cells = carry(layer, transform, self.fixed, target, self.device)
             laid.cells[slices(target, box.row0, box.col0)] = self._classes(cells)
-        if touched is not None and self._config.vote.mode == "consensus":
+        if touched is not None and self.config.vote.mode == "consensus":
             self._show(laid, touched, box)
         return touched
 
     def _show(self, laid: LaidInput, touched: CellBox, whole: CellBox) -> None:
         """Update the wall codes around the cells that changed."""
-        size = self._fixed.resolution
+        size = self.fixed.resolution
         box = grown_inside(touched, margin_cells(size), whole)
 
         def read(part: CellBox) -> I8:
@@ -303,10 +302,10 @@ class FusedLayers:
         whole = self.box
         if whole is None:
             raise ValueError("grow the layers before their cells are voted on")
-        config = self._config.vote
+        config = self.config.vote
         if has_young and config.unknown == "auto":
             config = replace(config, unknown="abstain")
-        voter = TileVoter(whole, config, self._fixed.resolution, tuple(names))
+        voter = TileVoter(whole, config, self.fixed.resolution, tuple(names))
         counts = None
         self.wall_agreement, self.bent = {}, {}
         if voter.weighs:
@@ -314,13 +313,13 @@ class FusedLayers:
             trust = trust_of(voter.names, all_counts.total())
             voter = replace(voter, trust=trust)
             self.wall_agreement = voter.wall_agreement
-            self.bent = bent_maps(trust, [voter.worst(whole, all_counts, trust)], self._fixed)
+            self.bent = bent_maps(trust, [voter.worst(whole, all_counts, trust)], self.fixed)
             is_same = trust.decides_like(self._trust)
             reach = margin_cells(voter.resolution) + (1 << voter.shift)
             box = voter.aligned(grown_inside(box, reach, whole)) if is_same else whole
             counts = all_counts.part(voter.blocks(voter.around(box), whole))
         self._trust = voter.trust
-        decided = voter.decide(box, self._shown(voter, box), self._device, counts)
+        decided = voter.decide(box, self._shown(voter, box), self.device, counts)
         if decided is None:
             return box
         window = slices(box, whole.row0, whole.col0)
@@ -371,8 +370,8 @@ class FusedLayers:
         agreement = self._agreement.copy()
         for array in (cells, agreement):
             array.flags.writeable = False
-        origin = self._fixed.corner(self.box.row0, self.box.col0)
-        size = self._fixed.resolution
+        origin = self.fixed.corner(self.box.row0, self.box.col0)
+        size = self.fixed.resolution
         return (
             OccupancyGrid(cells, size, origin, "fused"),
             OccupancyGrid(agreement, size, origin, "agreement"),

@@ -20,8 +20,8 @@ SIZE = 0.1
 
 def voter(name: str, x: float, device: ComputeDevice) -> Input:
     grid = OccupancyGrid(random_cells(3, 30, 40), SIZE, Pose2(x, 0.0, 0.0), name)
-    one = Input(name, transform=Pose2())
-    one.follow(grid, SIZE, FusionConfig().normalize, device)
+    one = Input(name, FusionConfig().normalize, device, transform=Pose2())
+    one.follow(grid, SIZE)
     one.turn(Reason.NEW)
     one.accept(Reason.REFERENCE)
     return one
