@@ -61,20 +61,23 @@ __kernel void mark_scan(
   const long reach = step > 0 ? ((long)half_blur << WALK_TO_BEAM_SHIFT) / step : 0;
   int any = 0;
   for (long i = -reach; i <= w.steps; i++) {
-    const long away = ((i < 0 ? -i : i) * step) >> WALK_TO_BEAM_SHIFT;
-    int value = free;
-    if (away < half_blur) {
-      value = free + (int)(rise * (half_blur - away) / half_blur);
-    }
-    if (i < 0 && value < behind) {
-      continue;
-    }
-    if (i == 0) {
-      value = beam[5];
+    uint word = (uint)(free << VALUE_SHIFT | 1);
+    if (i <= reach) {  /* beyond, the beam has passed: no division */
+      const long away = ((i < 0 ? -i : i) * step) >> WALK_TO_BEAM_SHIFT;
+      int value = free;
+      if (away < half_blur) {
+        value = free + (int)(rise * (half_blur - away) / half_blur);
+      }
+      if (i < 0 && value < behind) {
+        continue;
+      }
+      if (i == 0) {
+        value = beam[5];
+      }
+      word = (uint)((i == 0) << HIT_SHIFT | value << VALUE_SHIFT | (i >= 0));
     }
     const int x = (int)((w.x + i * w.step_x) >> WALK_SHIFT);
     const int y = (int)((w.y + i * w.step_y) >> WALK_SHIFT);
-    const uint word = (uint)((i == 0) << HIT_SHIFT | value << VALUE_SHIFT | (i >= 0));
     any |= mark_cell(observed, pages, width, wanted, x, y, word);
   }
   missed[item] = (uchar)any;

@@ -5,6 +5,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -101,6 +103,12 @@ def _ways() -> I64:
     return np.array([(0, 0, 0), *axes, *diagonals, (0, 0, 0)], dtype=np.int64)
 
 
+def _span(low: float, high: float, size: int) -> tuple[int, int]:
+    """Return the first cell and the number of cells of a window along one side of a map."""
+    first = min(max(math.floor(low), 0), size - LEAST_WINDOW)
+    return first, min(max(math.ceil(high), first + LEAST_WINDOW), size) - first
+
+
 class ScanMatchDevice(ArrayDevice):
     """A device that matches scans.
 
@@ -113,15 +121,13 @@ class ScanMatchDevice(ArrayDevice):
         self,
         field: DeviceArray[np.uint8],
         pages: DeviceArray[np.int32],
-        low: F64 | I64,
-        high: F64 | I64,
+        low: Sequence[float] | F64 | I64,
+        high: Sequence[float] | F64 | I64,
     ) -> FieldWindow:
-        """Return the part of a map between two corners, (2,) each in cells of its pages."""
+        """Return the part of a map between two corners, x and y each in cells of its pages."""
         height, width = pages.shape
-        size = np.array([width, height]) * TILE
-        first = np.clip(np.floor(low), 0, size - LEAST_WINDOW).astype(int)
-        last = np.clip(np.ceil(high), first + LEAST_WINDOW, size).astype(int)
-        (x, y), (cols, rows) = first.tolist(), (last - first).tolist()
+        x, cols = _span(low[0], high[0], width * TILE)
+        y, rows = _span(low[1], high[1], height * TILE)
         if self.opencl:
             cells = self.opencl.empty((rows, cols), np.uint8)
             self.opencl.launch("copy_window", (rows,), field, pages, width, x, y, cols, rows, cells)

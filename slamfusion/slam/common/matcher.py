@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import reduce
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,7 +25,7 @@ from slamfusion.compute.arrays import DeviceArray
 from slamfusion.compute.layout import CLIMBERS
 from slamfusion.compute.scan_match import FieldWindow
 from slamfusion.config import MatcherConfig
-from slamfusion.geometry import F64, wrap_angles
+from slamfusion.geometry import F64, corners, wrap_angle, wrap_angles
 
 # Distance, metres, between the five cells whose maximum the first look uses: the draws' spacing.
 WIDE_REACH_M = 0.15
@@ -119,9 +120,10 @@ class ScanOnTiles:
         cells = np.sort(col * _ROW_STRIDE + row)
         self.cells = 1 + int(np.count_nonzero(cells[1:] != cells[:-1]))
         self._reach = max(1, round(WIDE_REACH_M / resolution))
-        # A dense copy of the field around the poses so far, and their box in cells of the pages.
-        self._window: FieldWindow | None = None
-        self._low = self._high = np.zeros(2)
+        # A dense copy of the field around the poses so far, and the corners of their box, in cells
+        # of the pages.
+        self._window: FieldWindow
+        self._box = (math.inf, math.inf, -math.inf, -math.inf)
         self._range = float(np.hypot(*looked_at.T).max()) + self._reach + 2.0
 
     def wide_scores(self, poses: F64) -> F64:
@@ -142,42 +144,42 @@ class ScanOnTiles:
         return float(sums[0] / self._points.shape[0])
 
     def hill_climb(
-        self, starts: F64, steps: F64, hypotheses: Sequence[PoseHypothesis], weights: F64
-    ) -> F64:
-        """Run hill climbing by rounds of random steps; return (G, 4) poses and objectives.
+        self, starts: F64, steps: F64, hypotheses: tuple[F64, F64, F64], weights: F64
+    ) -> tuple[F64, float]:
+        """Run hill climbing by rounds of random steps; return the best pose and its objective.
 
         Args:
             starts: (G, 3) poses.
             steps: (R, G, CLIMBERS, 3) in metres and radians.
+            hypotheses: (K, 3) poses, (K, 3) spreads and (K,) losses.
             weights: (3,) loss at one spread from a hypothesis, along x, y and yaw.
         """
-        cell, yaw0 = self._cell, hypotheses[0].pose[2]
-
-        def rows(poses: F64) -> F64:
-            """Convert to cells of the pages, headings near 0, within float32's precision."""
-            yaw = wrap_angles(poses[:, 2] - yaw0)
-            return np.column_stack((poses[:, :2] / cell - self._corner, yaw))
-
-        centres = rows(np.array([one.pose for one in hypotheses]))
-        sigmas = np.array([one.spread for one in hypotheses]) / (cell, cell, 1.0)
-        own = [one.loss for one in hypotheses]
-        losses = np.column_stack((centres, weights / sigmas**2, own)).astype(np.float32)
-        first = np.column_stack((rows(starts), np.cos(starts[:, 2]), np.sin(starts[:, 2])))
+        cell, corner, (centres, sigmas, own) = self._cell, self._corner, hypotheses
+        # In cells of the pages; headings near 0, within float32's precision.
+        poses, yaw0 = np.concatenate((starts, centres)), centres[0, 2]
+        first = np.empty((len(poses), 5))
+        first[:, :2], first[:, 2] = poses[:, :2] / cell - corner, wrap_angles(poses[:, 2] - yaw0)
+        first[:, 3], first[:, 4] = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+        losses = np.empty((len(centres), 7), dtype=np.float32)
+        losses[:, :3], losses[:, 6] = first[len(starts) :, :3], own
+        losses[:, 3:6] = weights / (sigmas / (cell, cell, 1.0)) ** 2
+        first = first[: len(starts)]
         table = np.empty((*steps.shape[:3], 5), dtype=np.float32)
         table[..., :2], table[..., 2] = steps[..., :2] / cell, steps[..., 2]
         table[..., 3], table[..., 4] = np.cos(steps[..., 2]), np.sin(steps[..., 2])
-        farthest = np.abs(table[..., :2]).max(axis=(1, 2)).sum(axis=0)
+        farthest = np.abs(table[..., 0]), np.abs(table[..., 1])
+        farther = np.array([one.max(axis=(1, 2)).sum() for one in farthest])
         found = self._device.climb(
-            self._window_at(first, farthest),
+            self._window_at(first, farther),
             self._points,
             losses,
             first.astype(np.float32),
             table,
             scale=_scale(self._points),
-        ).astype(np.float64)
-        return np.column_stack(
-            ((found[:, :2] + self._corner) * cell, wrap_angles(found[:, 2] + yaw0), found[:, 5])
         )
+        x, y, yaw, _, _, objective = found[found[:, 5].argmax()].tolist()
+        place = (np.array((x, y)) + corner) * cell
+        return np.append(place, wrap_angle(yaw + yaw0)), objective
 
     def _means(self, points: DeviceArray[Any], poses: F64, reach: int = 0) -> F64:
         table = pose_table(poses, self._cell, self._corner)
@@ -189,16 +191,18 @@ class ScanOnTiles:
         """Return a window with all that hits reach at poses (N, 2 or more), cells, and around."""
         if self._walls.whole is not None:
             return self._walls.whole
-        low, high = poses[:, :2].min(axis=0) - farther, poses[:, :2].max(axis=0) + farther
-        if self._window is None or (low < self._low).any() or (high > self._high).any():
+        low, high = corners(poses)
+        (left, bottom), (right, top) = (low - farther).tolist(), (high + farther).tolist()
+        west, south, east, north = self._box
+        if left < west or bottom < south or right > east or top > north:
             # Room for the climb that follows a first look.
-            room = WINDOW_ROOM * (high - low)
-            self._low, self._high = low - room, high + room
+            x, y = WINDOW_ROOM * (right - left), WINDOW_ROOM * (top - bottom)
+            self._box = west, south, east, north = left - x, bottom - y, right + x, top + y
             self._window = self._device.field_window(
                 self._walls.field,
                 self._walls.pages,
-                self._low - self._range,
-                self._high + self._range,
+                (west - self._range, south - self._range),
+                (east + self._range, north + self._range),
             )
         return self._window
 
@@ -234,12 +238,12 @@ def search_pose(
     weights *= max(1.0, TELLING_CELLS / scan.cells)
     weights[:2] *= trust
 
-    own = [one.loss for one in hypotheses]
+    own = np.array([one.loss for one in hypotheses])
 
     def loss(poses: F64) -> F64:
         away = poses[:, None, :] - centres
         away[..., 2] = wrap_angles(away[..., 2])
-        return np.asarray(((away / sigmas) ** 2 @ weights + own).min(axis=1))
+        return reduce(np.minimum, ((away / sigmas) ** 2 @ weights + own).T)
 
     # The first look, and the hypotheses themselves.
     each = -(-config.first_poses // len(hypotheses))
@@ -252,11 +256,9 @@ def search_pose(
     steps = rng.standard_normal((config.rounds, len(starts), CLIMBERS, 3))
     steps *= widths[:, None, None, :]
     steps[:, :, 0] = 0.0
-    found = scan.hill_climb(starts, steps, hypotheses, weights)
-    best = found[int(found[:, 3].argmax())]
-    pose, objective = best[:3], float(best[3])
+    pose, objective = scan.hill_climb(starts, steps, (centres, sigmas, own), weights)
     away = pose - centres[0]
-    away[2] = wrap_angles(away[2])
+    away[2] = wrap_angle(away[2])
     return Match(
         pose=pose,
         score=objective + float(loss(pose[None])[0]),

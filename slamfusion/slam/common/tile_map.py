@@ -20,7 +20,7 @@ from slamfusion.compute.arrays import DeviceArray
 from slamfusion.compute.cell_means import LikelihoodRule, ScanRule
 from slamfusion.compute.layout import TILE
 from slamfusion.errors import MemoryBudgetError
-from slamfusion.geometry import F64, Pose2
+from slamfusion.geometry import F64, Pose2, corners
 from slamfusion.grid import OccupancyGrid
 from slamfusion.slam.common.state import check_arrays, check_indices
 
@@ -102,10 +102,11 @@ class _Tiles:
         """
         old_height, old_width = self.pages.shape[-2:]
         old_end = self.corner + np.array([old_width, old_height])
+        inner, inner_end = (self.corner + MARGIN) * TILE, (old_end - MARGIN) * TILE
+        if (low >= inner).all() and (high < inner_end).all():
+            return
         first = np.floor(low / TILE).astype(np.int64) - MARGIN
         last = np.floor(high / TILE).astype(np.int64) + MARGIN + 1
-        if (first >= self.corner).all() and (last <= old_end).all():
-            return
         start, end = np.minimum(first, self.corner), np.maximum(last, old_end)
         grown = (end - start) // 4
         start = np.where(start < self.corner, start - grown, start)
@@ -140,7 +141,8 @@ class _Tiles:
         places = np.argwhere(self.pages[index])[:, ::-1]
         if len(places) == 0:
             places = np.zeros((1, 2), dtype=np.int64)
-        return places.min(axis=0) * TILE, (places.max(axis=0) + 1) * TILE
+        first, last = corners(places)
+        return first * TILE, (last + 1) * TILE
 
     def _restore(self, arrays: Mapping[str, Array], *others: str) -> None:
         """Restore saved pools, pages and corner."""

@@ -13,7 +13,7 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.compute.arrays import DeviceArray
 from slamfusion.compute.hit_counts import BeamScan, FieldRule, halve_counts, percent_of_counts
 from slamfusion.compute.layout import MOST_BEAMS
-from slamfusion.geometry import F64, Pose2, compose_poses, pose_of, wrap_angles
+from slamfusion.geometry import F64, Pose2, compose_poses, corners, pose_of, wrap_angles
 from slamfusion.grid import OccupancyGrid
 from slamfusion.scan import LaserScan
 from slamfusion.slam.common.mapper import Series
@@ -215,7 +215,8 @@ class ParticleMaps(Stateful):
         ends, is_hit, laser = beams.ends[::every], beams.is_hit[::every], beams.laser
         reach = float(np.hypot(*np.vstack((ends, laser)).T).max()) / cell + config.kernelSize + 1.0
         at = (poses - (*self.anchor, 0.0))[alive] / (cell, cell, 1.0)
-        maps.cover(at[:, :2].min(axis=0) - reach, at[:, :2].max(axis=0) + reach)
+        low, high = corners(at)
+        maps.cover(low - reach, high + reach)
         table = pose_table(at, 1.0, maps.origin)
         scan = BeamScan(
             (ends / cell).astype(np.float32), is_hit, (laser / cell).astype(np.float32), table

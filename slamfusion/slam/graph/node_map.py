@@ -17,7 +17,7 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.compute.hit_counts import BeamScan, halve_counts, percent_of_counts
 from slamfusion.compute.layout import MOST_BEAMS
 from slamfusion.config import GraphConfig
-from slamfusion.geometry import F64, Pose2
+from slamfusion.geometry import F64, Pose2, corners
 from slamfusion.grid import OccupancyGrid, known_box
 from slamfusion.slam.common.mapper import MapJob
 from slamfusion.slam.common.tile_map import SharedTileMaps
@@ -111,7 +111,8 @@ class NodeMap:
         places = np.vstack((node.laser[None], node.ends[::every])).astype(np.float64) / cell
         places = places @ np.array([[cos, sin], [-sin, cos]]) + (x, y)
         places = np.rint(places * POINT_PARTS) / POINT_PARTS
-        maps.cover(places.min(axis=0) - 1.0, places.max(axis=0) + 1.0)
+        low, high = corners(places)
+        maps.cover(low - 1.0, high + 1.0)
         inside = (places - maps.origin).astype(np.float32)
         self._is_exact = self._is_exact and float(inside.max()) < EXACT_CELLS
         here = np.array([[0.0, 0.0, 1.0, 0.0]], dtype=np.float32)

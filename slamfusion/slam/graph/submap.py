@@ -20,7 +20,7 @@ from slamfusion.compute.arrays import DeviceArray
 from slamfusion.compute.cell_means import LikelihoodRule
 from slamfusion.compute.layout import BEAM_ONE, TILE
 from slamfusion.compute.scan_match import FieldWindow
-from slamfusion.geometry import F64, Pose2, wrap_angles
+from slamfusion.geometry import F64, Pose2, corners, wrap_angles
 from slamfusion.slam.common.matcher import FieldMap
 from slamfusion.slam.common.state import check_arrays, check_indices
 from slamfusion.slam.common.tile_map import TileMap
@@ -156,9 +156,8 @@ class Submap:
         hits = pose.transform(points) / cell
         start = pose.transform(laser) / cell
         reach = rule.reach + 1.0
-        tiles.cover(
-            np.minimum(hits.min(axis=0), start) - reach, np.maximum(hits.max(axis=0), start) + reach
-        )
+        low, high = corners(hits)
+        tiles.cover(np.minimum(low, start) - reach, np.maximum(high, start) + reach)
         beams = np.empty((len(hits), 4), dtype=np.int32)
         beams[:, 0:2] = (hits - tiles.origin) * BEAM_ONE
         beams[:, 2:4] = (start - tiles.origin) * BEAM_ONE

@@ -19,7 +19,7 @@ from slamfusion.compute.cell_means import ScanRule
 from slamfusion.compute.layout import BEAM_ONE, MEAN_HALF, MOST_OBSERVATIONS, UNSEEN, VALUE_ONE
 from slamfusion.config import TinySlamConfig
 from slamfusion.errors import SlamFusionError
-from slamfusion.geometry import F64, Pose2, pose_of, row_of
+from slamfusion.geometry import F64, Pose2, corners, pose_of, row_of
 from slamfusion.grid import UNKNOWN, OccupancyGrid
 from slamfusion.scan import LaserScan
 from slamfusion.slam.common.mapper import Health, Series, Step
@@ -231,11 +231,10 @@ class TinySlam:
         self._mapped += 1
         cell = config.resolution
         hits = (pose.transform(points) - self._anchor) / cell
-        laser = (pose.transform((scan.mount.x, scan.mount.y)) - self._anchor) / cell
+        laser = (row_of(pose.compose(scan.mount))[:2] - self._anchor) / cell
         reach = 0.5 * config.hole_width_m / cell + 1.0
-        tiles.cover(
-            np.minimum(hits.min(axis=0), laser) - reach, np.maximum(hits.max(axis=0), laser) + reach
-        )
+        low, high = corners(hits)
+        tiles.cover(np.minimum(low, laser) - reach, np.maximum(high, laser) + reach)
         beams = self._beams(hits - tiles.origin, laser - tiles.origin)
         # The expected value of a wall's cells.
         share = HIT_SHARE[config.occupancy_estimator]
@@ -256,7 +255,7 @@ class TinySlam:
     def _beams(self, hits: F64, laser: F64) -> npt.NDArray[np.int32]:
         """Return the beams as the kernels take them; positions in cells of the window."""
         away = hits - laser
-        told = np.full(len(hits), OCCUPIED_VALUE)
+        told: F64 | float = OCCUPIED_VALUE
         if self._config.occupancy_estimator == "area":
             offset = hits - np.floor(hits) - 0.5
             angle = np.arctan2(away[:, 1], away[:, 0])
