@@ -339,9 +339,18 @@ class NodeBase:
             logger.removeHandler(handler)
 
     def subscribe(
-        self, kind: Any, topic: str, callback: Callable[[Any], None], profile: Any
+        self,
+        kind: Any,
+        topic: str,
+        callback: Callable[[Any], None],
+        profile: Any,
+        *,
+        raw: bool = False,
     ) -> Any:
-        """Return a subscription with a safe callback; incompatible writers are in diagnostics."""
+        """Return a subscription with a safe callback; incompatible writers are in diagnostics.
+
+        ``raw``: the callback gets the bytes of the message.
+        """
         if topic in self._mismatched:
             self._mismatched[topic] = profile
 
@@ -360,6 +369,7 @@ class NodeBase:
             lambda message: self._call(topic, callback, message),
             profile,
             event_callbacks=SubscriptionEventCallbacks(incompatible_qos=on_mismatch),
+            raw=raw,
         )
 
     def timer(self, period_s: float, callback: Callable[[], None]) -> Any:

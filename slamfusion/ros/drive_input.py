@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from nav_msgs.msg import Path
 
@@ -71,9 +71,9 @@ class DriveInput:
         for name, source in sources.items() if self._count else ():
             source.hear_path(partial(self._on_path, name))
 
-    def _on_path(self, name: str, message: Any) -> None:
+    def _on_path(self, name: str, data: bytes) -> None:
         try:
-            path = messages.path_from_message(message, name)
+            path = messages.path_from_bytes(data, name)
         except TrajectoryError as error:
             text = f"the path of {name!r} is left out: {error}"
             self._node.diagnostics.note(f"path {name}", text)
@@ -117,7 +117,7 @@ class DriveInput:
             stamp = messages.to_stamp(float(solution.path.stamps_s[-1]))
             frame = settings.fused_frame
             self._path_topic.publish(
-                messages.path_to_message(solution.path, frame, stamp, PATH_POSES)
+                messages.path_to_bytes(solution.path, frame, stamp, PATH_POSES)
             )
 
     def close(self) -> None:

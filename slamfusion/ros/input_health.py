@@ -318,11 +318,11 @@ class MapSource:
             self._liveliness = Liveliness()
             self._watch()
 
-    def hear_path(self, on_path: Callable[[Any], None]) -> None:
-        """Subscribe to ``NAME/path``."""
+    def hear_path(self, on_path: Callable[[bytes], None]) -> None:
+        """Subscribe to ``NAME/path``, serialized."""
         if self._stem is not None and "path" not in self._subscriptions:
             self._subscriptions["path"] = self._base.subscribe(
-                Path, f"{self._stem}/path", on_path, qos.MAP
+                Path, f"{self._stem}/path", on_path, qos.MAP, raw=True
             )
 
     def close(self) -> None:

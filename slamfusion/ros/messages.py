@@ -10,9 +10,11 @@ from array import array
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Pose, PoseStamped, PoseWithCovarianceStamped, TransformStamped
 from nav_msgs.msg import MapMetaData, OccupancyGrid, Odometry, Path
+from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import LaserScan
 from std_msgs.msg import Header
 
@@ -57,11 +59,16 @@ def ns_to_stamp(nanoseconds: int) -> Time:
 
 def to_stamp(seconds: float) -> Time:
     """Return seconds as a builtin_interfaces/Time, to 1 ns; ValueError outside 32 bits."""
+    return ns_to_stamp(to_ns(seconds))
+
+
+def to_ns(seconds: float) -> int:
+    """Return seconds in nanoseconds, to 1 ns; ValueError outside of a builtin_interfaces/Time."""
     whole = math.floor(seconds)
     nanoseconds = whole * NS + round((seconds - whole) * NS)
     if not -(2**31) <= nanoseconds // NS < 2**31:
         raise ValueError(f"{seconds} s is no ROS time; wanted less than 2^31 s")
-    return ns_to_stamp(nanoseconds)
+    return nanoseconds
 
 
 # --- poses -----------------------------------------------------------------------------------
@@ -138,26 +145,111 @@ def transform_to_message(pose: Pose2, parent: str, child: str, stamp: Time) -> T
     return message
 
 
-def path_to_message(
+def _row_of_path(frame_size: int) -> np.dtype[Any]:
+    """Return how a pose of a serialized path lies in memory, from the second one on.
+
+    ``frame_size`` is of its frame_id, with the zero behind it. XCDR1 of the DDS-XTypes standard:
+    numbers lie at multiples of their size, counted from behind the four bytes of its header.
+    """
+    pose_at = -(-(12 + frame_size) // 8) * 8
+    fields = {
+        "sec": ("<i4", 0),
+        "nanosec": ("<u4", 4),
+        "size": ("<u4", 8),
+        "frame": (f"({frame_size},)u1", 12),
+        "pose": ("(7,)<f8", pose_at),
+    }
+    formats, offsets = zip(*fields.values(), strict=True)
+    return np.dtype(
+        {"names": [*fields], "formats": formats, "offsets": offsets, "itemsize": pose_at + 56}
+    )
+
+
+def path_to_bytes(
     trajectory: Trajectory, frame_id: str, stamp: Time, most: int | None = None
-) -> Path:
-    """Return a path in ``frame_id`` with at most ``most`` poses, evenly chosen, ends included."""
+) -> bytes:
+    """Return a serialized nav_msgs/Path with at most ``most`` poses, evenly chosen, with the ends.
+
+    As messages 5000 poses would take 50 ms to make, and 90 ms to read.
+    """
     chosen = np.arange(len(trajectory))
     if most is not None and len(chosen) > most:
         chosen = np.unique(np.linspace(0, len(trajectory) - 1, most).round().astype(np.int64))
-    stamps_s = trajectory.stamps_s.tolist()
-    poses = [
-        pose_to_message(trajectory.pose(index), frame_id, to_stamp(stamps_s[index]))
-        for index in chosen.tolist()
+    stamps_s = trajectory.stamps_s[chosen].tolist()
+    header = Header(frame_id=frame_id, stamp=stamp)
+    first = [
+        pose_to_message(trajectory.pose(int(n)), frame_id, to_stamp(stamps_s[0]))
+        for n in chosen[:1]
     ]
-    return Path(header=Header(frame_id=frame_id, stamp=stamp), poses=poses)
+    start = bytearray(serialize_message(Path(header=header, poses=first)))
+    frame = np.frombuffer(frame_id.encode() + b"\0", dtype=np.uint8)
+    rows = np.zeros(max(len(chosen) - 1, 0), dtype=_row_of_path(len(frame)))
+    if len(rows):
+        count_at = -(-(16 + len(frame)) // 4) * 4
+        start[count_at : count_at + 4] = len(chosen).to_bytes(4, "little")
+        stamps = [to_ns(stamp_s) for stamp_s in stamps_s[1:]]
+        rows["sec"], rows["nanosec"] = np.divmod(np.array(stamps, dtype=np.int64), NS)
+        rows["size"], rows["frame"] = len(frame), frame
+        poses = trajectory.poses[chosen[1:]]
+        rows["pose"][:, :2] = poses[:, :2]
+        halves = (0.5 * poses[:, 2]).tolist()
+        rows["pose"][:, 5] = [*map(math.sin, halves)]
+        rows["pose"][:, 6] = [*map(math.cos, halves)]
+    return bytes(start) + rows.tobytes()
 
 
-def path_from_message(message: Any, name: str) -> Trajectory:
-    """Return a nav_msgs/Path in the message's frame; TrajectoryError if it is invalid."""
-    poses = [pose2_from_message(item.pose) for item in message.poses]
-    rows = np.array([(pose.x, pose.y, pose.yaw_rad) for pose in poses]).reshape(-1, 3)
-    return Trajectory(np.array([stamp_s(item) for item in message.poses]), rows, name)
+def path_from_bytes(data: bytes, name: str) -> Trajectory:
+    """Return a serialized nav_msgs/Path in its frame; TrajectoryError if it is invalid."""
+    found = _rows_of_path(data)
+    if found is None:
+        poses = deserialize_message(data, Path).poses
+        turned = [pose2_from_message(item.pose) for item in poses]
+        rows = np.array([(pose.x, pose.y, pose.yaw_rad) for pose in turned]).reshape(-1, 3)
+        return Trajectory(np.array([stamp_s(item) for item in poses]), rows, name)
+    stamps, poses = found
+    yaws = [quaternion_yaw_rad(*turn) for turn in poses[:, 3:].tolist()]
+    rows = np.column_stack((poses[:, :2], yaws))
+    return Trajectory(np.array([stamp / NS for stamp in stamps.tolist()]), rows, name)
+
+
+def _rows_of_path(data: bytes) -> tuple[npt.NDArray[np.int64], F64] | None:
+    """Return stamps (N,), nanoseconds, and places and quaternions (N, 7) of a serialized path.
+
+    None if it is empty, lies otherwise in memory, or has a pose that is none in the plane.
+    """
+    if data[:2] != b"\0\1":  # little-endian
+        return None
+
+    def number(at: int) -> int:
+        return int.from_bytes(data[at : at + 4], "little")
+
+    count_at = -(-(16 + number(12)) // 4) * 4
+    count, first_at = number(count_at), count_at + 4
+    size = number(first_at + 8)
+    pose_at = 4 + -(-(first_at + 8 + size) // 8) * 8
+    kind = _row_of_path(size)
+    if not count or len(data) != pose_at + 56 + (count - 1) * kind.itemsize:
+        return None
+    rows = np.empty(count, dtype=kind)
+    rows[1:] = np.frombuffer(data, kind, count - 1, pose_at + 56)
+    rows["size"][0], rows["sec"][0], rows["nanosec"][0] = (
+        size,
+        number(first_at),
+        number(first_at + 4),
+    )
+    rows["pose"][0] = np.frombuffer(data, "<f8", 7, pose_at)
+    poses = rows["pose"]
+    length = np.sqrt((poses[:, 3:] ** 2).sum(axis=1))
+    is_plain = (
+        (rows["size"] == size)
+        & np.isfinite(poses).all(axis=1)
+        & (length >= LENGTH_MIN)
+        & (length <= LENGTH_MAX)
+        & (np.hypot(poses[:, 3], poses[:, 4]) <= TILT_MAX * length)
+    )
+    if not is_plain.all():
+        return None
+    return rows["sec"].astype(np.int64) * NS + rows["nanosec"], poses
 
 
 # --- grids -----------------------------------------------------------------------------------

@@ -96,8 +96,8 @@ class PlayerNode(NodeBase):
         self._maps: dict[str, Any] = {}
         self._stems: dict[str, Path] = {}
         self._stamps_s: dict[str, float] = {}
-        # The newest fused path, and the stamp up to which the fused map is final.
-        self._path: Any = None
+        # The newest fused path, serialized, and the stamp up to which the fused map is final.
+        self._path: bytes | None = None
         self._final_s = -math.inf
         if self.settings.save is not None:
             self._open_maps(map_topics, Path(self.settings.save), Path(self.settings.file))
@@ -316,7 +316,7 @@ class PlayerNode(NodeBase):
         for topic in topics:
             self.subscribe(OccupancyGrid, topic, partial(self._on_map, topic), qos.MAP)
         if MAP_TOPIC in topics:
-            self.subscribe(PathMessage, PATH_TOPIC, self._on_path, qos.MAP)
+            self.subscribe(PathMessage, PATH_TOPIC, self._on_path, qos.MAP, raw=True)
             self.subscribe(DiagnosticArray, DIAGNOSTICS_TOPIC, self._on_diagnostics, qos.STREAM)
 
     def _save(self) -> None:
@@ -342,7 +342,7 @@ class PlayerNode(NodeBase):
             path, _ = save_map(messages.grid_from_message(message, topic), stem)
             self.log.info(f"wrote {path}")
             if topic == MAP_TOPIC and self._path is not None:
-                driven = messages.path_from_message(self._path, "fused")
+                driven = messages.path_from_bytes(self._path, "fused")
                 write_tum(stem.with_name(f"{stem.name}.tum"), driven)
 
     def _late(self, stamp_s: float) -> list[str]:
@@ -364,8 +364,8 @@ class PlayerNode(NodeBase):
                     self._final_s = float(value)
             self._changed.notify_all()
 
-    def _on_path(self, message: Any) -> None:
-        self._path = message
+    def _on_path(self, data: bytes) -> None:
+        self._path = data
 
     def _on_map(self, topic: str, message: Any) -> None:
         with self._changed:

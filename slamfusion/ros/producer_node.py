@@ -247,7 +247,7 @@ class ProducerNode(NodeBase):
         self._metadata_topic.publish(message.info)
         if item.trajectory is not None and len(item.trajectory):
             self._path_topic.publish(
-                messages.path_to_message(
+                messages.path_to_bytes(
                     item.trajectory, self._map_frame, stamp, self.settings.path_poses
                 )
             )

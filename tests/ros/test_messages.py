@@ -11,6 +11,8 @@ pytest.importorskip("nav_msgs", reason="rclpy is absent: install the extra ros, 
 from builtin_interfaces.msg import Time
 from hypothesis import given
 from hypothesis import strategies as st
+from nav_msgs.msg import Path
+from rclpy.serialization import deserialize_message, serialize_message
 
 from slamfusion.errors import GridError, ScanError, TrajectoryError
 from slamfusion.geometry import Pose2
@@ -154,13 +156,33 @@ def test_what_is_no_scan_is_refused_by_time_and_frame(name: str, value: Any, wor
         messages.scan_from_message(message)
 
 
-def test_a_long_path_keeps_its_ends():
-    stamps_s = np.arange(1000) / 10.0
-    poses = np.column_stack((stamps_s, np.zeros(1000), np.zeros(1000)))
-    path = messages.path_to_message(Trajectory(stamps_s, poses), "a_map", Time(sec=100), most=50)
-    assert len(path.poses) == 50
-    assert [path.poses[0].pose.position.x, path.poses[-1].pose.position.x] == [0.0, 99.9]
-    assert messages.stamp_s(path.poses[-1]) == 99.9
-    assert {pose.header.frame_id for pose in path.poses} == {"a_map"}
-    whole = messages.path_to_message(Trajectory(stamps_s, poses), "a_map", Time())
-    assert len(whole.poses) == 1000
+@pytest.mark.parametrize("frame", ["", "m", "a_map", "robot1/graph_map"])
+@pytest.mark.parametrize("count", [0, 1, 2, 1000])
+def test_a_path_is_the_same_in_bytes_and_as_a_message(frame: str, count: int):
+    stamps_s = np.arange(count) / 10.0
+    poses = np.column_stack((stamps_s, -stamps_s, np.sin(stamps_s)))
+    data = messages.path_to_bytes(Trajectory(stamps_s, poses), frame, Time(sec=100), most=50)
+    path = deserialize_message(data, Path)
+    assert len(path.poses) == min(count, 50)
+    assert {pose.header.frame_id for pose in path.poses} <= {frame}
+    for pose, at in zip(path.poses[:: max(1, len(path.poses) - 1)], (0, -1), strict=False):
+        assert pose == messages.pose_to_message(
+            Pose2(*poses[at]), frame, messages.to_stamp(stamps_s[at])
+        )
+    read = messages.path_from_bytes(data, "a")
+    assert [messages.pose2_from_message(pose.pose) for pose in path.poses] == [
+        read.pose(index) for index in range(len(read))
+    ]
+    assert read.stamps_s.tolist() == [messages.stamp_s(pose) for pose in path.poses]
+
+
+def test_a_path_of_others_is_read_and_one_that_is_none_in_the_plane_refused():
+    path = deserialize_message(
+        messages.path_to_bytes(Trajectory(np.arange(3.0), np.zeros((3, 3))), "map", Time()), Path
+    )
+    path.poses[1].header.frame_id = "another"
+    assert len(messages.path_from_bytes(serialize_message(path), "a")) == 3
+    path.poses[1].header.frame_id = "map"
+    path.poses[1].pose.orientation.x = 1.0
+    with pytest.raises(TrajectoryError, match="tilts or turns over"):
+        messages.path_from_bytes(serialize_message(path), "a")
