@@ -9,16 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from slamfusion.cli import options, tables
+from slamfusion.cli import options, output, tables
 from slamfusion.cli.help import Choice, Command, Number
-from slamfusion.cli.output import (
-    is_verbose,
-    map_server_facts,
-    notice,
-    print_facts,
-    print_json,
-    progress_bar,
-)
 from slamfusion.cli.paths import MAP, stem_of
 from slamfusion.cli.results import table_option
 from slamfusion.config import RunConfig
@@ -152,12 +144,12 @@ def command(
         with (
             options.start_errors(starts),
             executor_for(scheduler, processes, config.device.device) as executor,
-            progress_bar() as progress,
+            output.progress_bar() as progress,
         ):
             fused = fuse_maps(
                 maps, config, device,
                 truth=truth_path, scale=scale, resolution=resolution, store=store,
-                executor=executor, progress=progress, warn=notice,
+                executor=executor, progress=progress, warn=output.notice,
             )  # fmt: skip
     except AlignmentError as error:
         # The report of an earlier fusion stays, as its map does.
@@ -166,7 +158,7 @@ def command(
         if as_json:
             circumstances = Circumstances(config, device.name)
             given = GivenMaps.of(maps, resolution)
-            print_json(FuseDocument.failed(error, circumstances, given))
+            output.print_json(FuseDocument.failed(error, circumstances, given))
         else:
             tables.print_pairs(error.pairs, device.name)
         raise
@@ -179,9 +171,9 @@ def command(
     tables.tell_left_out(fused.result)
     for path, own in zip(fused.stores, fused.stems, strict=True):
         if own is None:
-            notice(f"{path}: too large for a map server; its files are not written")
+            output.notice(f"{path}: too large for a map server; its files are not written")
     if as_json:
-        print_json(document)
+        output.print_json(document)
     else:
         _print_result(fused, stem, report_dir)
     if is_opened and report_dir is not None:
@@ -193,7 +185,7 @@ def _print_result(fused: FusedMaps, stem: Path, report_dir: Path | None) -> None
     tables.print_fusion(fused.result, fused.doubled, fused.config.fusion.reference)
     print()
     for path, own in zip(fused.stores, fused.stems, strict=True):
-        print_facts(("fused map", path if own is None else f"{path}, {own}.yaml"))
+        output.print_facts(("fused map", path if own is None else f"{path}, {own}.yaml"))
     if fused.stores:
         return
     if fused.evaluations:
@@ -202,15 +194,15 @@ def _print_result(fused: FusedMaps, stem: Path, report_dir: Path | None) -> None
     others = fused.result.others
     _, *stems = group_stems(stem, 1 + len(others))
     quoted = shlex.quote(f"{stem}.yaml")
-    print_facts(
+    output.print_facts(
         ("fused map", f"{stem}.yaml"),
-        *[("agreement", f"{stem}{AGREEMENT_END}.yaml")] * is_verbose(),
+        *[("agreement", f"{stem}{AGREEMENT_END}.yaml")] * output.is_verbose(),
         *(
             (f"group {number}", f"{own}.yaml ({', '.join(item.name for item in other.accepted)})")
             for number, (other, own) in enumerate(zip(others, stems, strict=True), start=2)
         ),
         *([] if report_dir is None else [("report", report_dir / PAGE)]),
-        *map_server_facts(Path(f"{stem}.yaml")),
+        *output.map_server_facts(Path(f"{stem}.yaml")),
         ("next", f"slamfusion show {quoted}"),
         *[("", f"slamfusion evaluate {quoted} --truth TRUE_MAP.yaml")] * (not fused.evaluations),
     )

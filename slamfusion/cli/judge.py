@@ -9,16 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from slamfusion.cli import options, results
+from slamfusion.cli import options, output, results
 from slamfusion.cli.help import Command
-from slamfusion.cli.output import (
-    NOTHING,
-    notice,
-    print_facts,
-    print_json,
-    print_table,
-    progress_bar,
-)
 from slamfusion.cli.paths import CASE_FILE
 from slamfusion.cli.tables import path_table, print_recommendation
 from slamfusion.config import RunConfig
@@ -120,7 +112,7 @@ def command(
     device = device_for(config)
     found: dict[str, JudgedPaths] = {}
     several = len(cases) > 1
-    with progress_bar() if several else contextlib.nullcontext() as progress:
+    with output.progress_bar() if several else contextlib.nullcontext() as progress:
         for (case, files), own_log in zip(known.items(), logs, strict=True):
             if progress is not None:
                 progress("judge", len(found), len(cases))
@@ -134,7 +126,7 @@ def command(
                 truth=files.truth,
                 scan_odometry=files.scan_odometry,
                 fused=fused,
-                warn=notice,
+                warn=output.notice,
             )
     with AtomicFiles():
         for case, own in found.items():
@@ -148,7 +140,7 @@ def command(
     )
     results.save_results(results_path, document, rows, lambda: measured_inputs(placed, known))
     if as_json:
-        print_json(document)
+        output.print_json(document)
     elif several:
         results.print_items(rows, "path", ("consistency", "ate_rmse_m", "relations_mean_m"))
         for case, own in found.items():
@@ -177,8 +169,10 @@ def _print(found: JudgedPaths) -> None:
             ranks = {name: str(rank) for rank, name in enumerate(errors, start=1)}
             columns += [heads[kind], "rank"]
             for row, path in zip(rows, answer.paths, strict=True):
-                row += [number(errors.get(path.name), 4), ranks.get(path.name, NOTHING)]
-    print_table(columns, rows, title=f"Paths of {found.files.log}, the recommended one first")
+                row += [number(errors.get(path.name), 4), ranks.get(path.name, output.NOTHING)]
+    output.print_table(
+        columns, rows, title=f"Paths of {found.files.log}, the recommended one first"
+    )
     if found.fused_path is not None:
-        print_facts(("fused path", found.fused_path.file))
+        output.print_facts(("fused path", found.fused_path.file))
     print_recommendation(answer)

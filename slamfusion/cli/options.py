@@ -13,17 +13,9 @@ from typing import Any, TypeVar
 
 import click
 
+from slamfusion.cli import paths
 from slamfusion.cli.help import Choice, Number, Setting
 from slamfusion.cli.output import Settings
-from slamfusion.cli.paths import (
-    CASE_FILE,
-    FILE,
-    CasePath,
-    Files,
-    InputPath,
-    OutputPath,
-    check_paths,
-)
 from slamfusion.config import (
     PICTURE_FORMS,
     START_M,
@@ -88,15 +80,17 @@ def _read(path: Path, defaults: RunConfig) -> RunConfig:
 
 
 def file(
-    name: str, parameter: str, metavar: str, text: str, kind: InputPath = FILE
+    name: str, parameter: str, metavar: str, text: str, kind: paths.InputPath = paths.FILE
 ) -> Callable[[F], F]:
     """Return the option of a command that names an input, which need not exist."""
     return click.option(name, parameter, type=kind, metavar=metavar, help=text)
 
 
-def output(*names: str, files: Files = lambda path, _: [path], **more: Any) -> Callable[[F], F]:
+def output(
+    *names: str, files: paths.Files = lambda path, _: [path], **more: Any
+) -> Callable[[F], F]:
     """Return the option of a command that says where something is written."""
-    return click.option(*names, type=OutputPath(files), **more)
+    return click.option(*names, type=paths.OutputPath(files), **more)
 
 
 def check_picture(name: str, path: Path | None) -> None:
@@ -116,7 +110,7 @@ def check_report(folder: Path | None) -> None:
 
 
 def case(
-    name: str, parameter: str, metavar: str, text: str, kind: CasePath = CASE_FILE
+    name: str, parameter: str, metavar: str, text: str, kind: paths.CasePath = paths.CASE_FILE
 ) -> Callable[[F], F]:
     """Return the option of a command that names a file of each of several cases."""
     text = f"{text} Repeat it for several cases: [CASE=]{metavar}."
@@ -139,7 +133,7 @@ _LIKE_PAPER = click.option(
 )
 
 
-def report(parameter: str, folders: Files = lambda folder, _: [folder]) -> Callable[[F], F]:
+def report(parameter: str, folders: paths.Files = lambda folder, _: [folder]) -> Callable[[F], F]:
     """Return the option ``--report`` of a command that can write one."""
     return output(
         "--report",
@@ -247,7 +241,7 @@ def common(function: F) -> F:
     @functools.wraps(function)
     def wrapper(*args: Any, **values: Any) -> Any:
         context = click.get_current_context()
-        check_paths(context, {**context.params, **values})
+        paths.check_paths(context, {**context.params, **values})
         return function(*args, **values)
 
     def remember(context: click.Context, option: click.Parameter, value: bool) -> bool:

@@ -11,19 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from slamfusion.cli import options, results, tables
+from slamfusion.cli import options, output, results, tables
 from slamfusion.cli.help import Command
-from slamfusion.cli.output import (
-    Settings,
-    is_verbose,
-    map_server_facts,
-    notice,
-    print_facts,
-    print_json,
-    print_table,
-    progress_bar,
-    say,
-)
 from slamfusion.cli.paths import CASE_FILE, FILE, MAP
 from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
@@ -206,9 +195,9 @@ def command(
         from slamfusion.jobs.run import run_log  # noqa: PLC0415  (the SLAMs load slowly)
         from slamfusion.jobs.run_files import load_report, save_run  # noqa: PLC0415
 
-        with progress_bar() as progress:
+        with output.progress_bar() as progress:
             run = run_log(
-                logs[0], config, **asked, progress=progress, warn=notice, prepare=load_report
+                logs[0], config, **asked, progress=progress, warn=output.notice, prepare=load_report
             )
             progress(REPORT, 0, 1)
             run = save_run(run, out, probabilities=probabilities)
@@ -225,21 +214,21 @@ def command(
 
 def _print(run: LogRun, *, as_json: bool) -> None:
     """Print the document, or tables; warnings to stderr."""
-    if click.get_current_context().ensure_object(Settings).debug:
+    if click.get_current_context().ensure_object(output.Settings).debug:
         for item in run.failed:
             if item.detail:
                 print(f"{item.name}: {item.detail}", file=sys.stderr)
     if not as_json:
         _print_tables(run)
     warnings = run.sentences()
-    if as_json or is_verbose():
+    if as_json or output.is_verbose():
         for sentence in warnings:
-            notice(sentence)
+            output.notice(sentence)
     elif warnings:
         count = f"{len(warnings)} warning{'s' * (len(warnings) > 1)}"
-        notice(f"{count} in the report; --verbose prints them")
+        output.notice(f"{count} in the report; --verbose prints them")
     if as_json:
-        print_json(run)
+        output.print_json(run)
 
 
 def _print_tables(run: LogRun) -> None:
@@ -247,7 +236,7 @@ def _print_tables(run: LogRun) -> None:
         tables.print_recommendation(run.recommendation)
         print()
     _print_slams(run)
-    if is_verbose():
+    if output.is_verbose():
         _print_details(run)
     facts: list[tuple[str, object]] = []
     if run.fused is not None:
@@ -259,7 +248,7 @@ def _print_tables(run: LogRun) -> None:
     facts.append(("report", run.report))
     if run.fused is not None:
         facts.append(("next", f"slamfusion show {shlex.quote(str(run.folder))}"))
-    print_facts(*facts)
+    output.print_facts(*facts)
 
 
 def _print_slams(run: LogRun) -> None:
@@ -297,8 +286,8 @@ def _print_slams(run: LogRun) -> None:
             row += [str(own_run.scans_used), number(own_run.peak_memory_bytes / 1e6, 1)]
             row.append(number(own_run.health.mean_match_score))
         rows.append(row + ["-"] * (len(COLUMNS) - len(row)))
-    shown = len(COLUMNS) if is_verbose() else BRIEF
-    print_table(
+    shown = len(COLUMNS) if output.is_verbose() else BRIEF
+    output.print_table(
         COLUMNS[:shown],
         [row[:shown] for row in rows],
         notes=[notes.get(name, "") for name in votes] if notes else (),
@@ -307,11 +296,11 @@ def _print_slams(run: LogRun) -> None:
 
 def _print_details(run: LogRun) -> None:
     for sentence in run.log_notes():
-        say(f"the log: {sentence}")
+        output.say(f"the log: {sentence}")
     if run.usable is not None:
         tables.print_fusion(run.usable, run.fusion.doubled, run.made_with.config.fusion.reference)
         for gap in run.path_gaps:
-            say(f"paths in the fused map: {gap.sentence()}")
+            output.say(f"paths in the fused map: {gap.sentence()}")
         print()
     elif run.fusion.pairs:
         tables.print_pairs(run.fusion.pairs, run.made_with.device)
@@ -320,14 +309,14 @@ def _print_details(run: LogRun) -> None:
         tables.print_evaluations(run.evaluations)
     if run.recommendation is not None and run.recommendation.paths:
         columns, rows = tables.path_table(run.recommendation)
-        print_table(columns, rows, title="How well the scans support each path")
+        output.print_table(columns, rows, title="How well the scans support each path")
     if run.fused_path is not None:
         trust = ", ".join(f"{name} {share:.2f}" for name, share in run.fused_path.trust.items())
-        say(f"weights in the fused path: {trust}")
+        output.say(f"weights in the fused path: {trust}")
     stages = ", ".join(f"{name} {seconds:.1f}" for name, seconds in run.stages_s.items())
-    say(f"time: {run.time_s:.1f} s ({stages})")
+    output.say(f"time: {run.time_s:.1f} s ({stages})")
     if run.fused is not None:
-        print_facts(("agreement", str(run.agreement)), *map_server_facts(run.fused))
+        output.print_facts(("agreement", str(run.agreement)), *output.map_server_facts(run.fused))
 
 
 # --- several logs ---------------------------------------------------------------------------------
@@ -380,18 +369,18 @@ def _run_several(
     given = {**asked, "saved_maps": tuple(path.absolute() for path in asked["saved_maps"])}
     with (
         executor_for(scheduler, device=config.device.device) as executor,
-        progress_bar() as progress,
+        output.progress_bar() as progress,
     ):
         runs = run_logs(tasks, config, given, executor=executor, progress=progress)
     for run in runs:
         for sentence in run.warnings:
-            notice(f"{run.name}: {sentence}")
+            output.notice(f"{run.name}: {sentence}")
     document = RunsDocument(runs, SettingsUsed(config))
     rows = [row for run in runs for row in run.rows]
     logs = list(dict.fromkeys(task.log for task in tasks))
     results.save_results(results_path, document, rows, lambda: _inputs(logs, asked))
     if as_json:
-        print_json(document)
+        output.print_json(document)
     else:
         _print_logs(runs, out)
         if rows and tasks[0].seed is not None:
@@ -410,7 +399,7 @@ def _run_several(
 
 
 def _print_logs(runs: Sequence[RunOfLog], out: Path) -> None:
-    print_table(
+    output.print_table(
         ("log ", "maps fused", "use ", "time [s]", "folder "),
         [
             [
@@ -426,7 +415,7 @@ def _print_logs(runs: Sequence[RunOfLog], out: Path) -> None:
         title=f"{len(runs)} runs",
     )
     if any(run.fused is not None for run in runs):
-        print_facts(
+        output.print_facts(
             ("report", f"FOLDER/{REPORT}/{PAGE}"),
             ("next", f"slamfusion trajectory {shlex.quote(str(out))} --truth TRUTH.tum"),
         )

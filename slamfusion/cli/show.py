@@ -18,15 +18,7 @@ from slamfusion.cli.output import notice, print_json
 from slamfusion.cli.paths import FILE
 from slamfusion.config import FusionNodeConfig
 from slamfusion.errors import MapFileError, SlamFusionError
-from slamfusion.jobs.outputs import (
-    AGREEMENT,
-    AGREEMENT_END,
-    DRAWN,
-    FUSED,
-    FUSED_PATH,
-    REPORT,
-    RUN_RECORD,
-)
+from slamfusion.jobs import outputs
 
 if TYPE_CHECKING:
     from slamfusion.jobs.records import ShowDocument
@@ -165,9 +157,9 @@ def _record_of(place: Path) -> Path | None:
             message = f"{place}: no record of its fusion next to it ({path.name}); name the folder"
             raise MapFileError(message)
         return path
-    if (place / RUN_RECORD).exists():
-        return place / RUN_RECORD
-    ends = (".yaml", f"{AGREEMENT_END}.yaml")
+    if (place / outputs.RUN_RECORD).exists():
+        return place / outputs.RUN_RECORD
+    ends = (".yaml", f"{outputs.AGREEMENT_END}.yaml")
     found = [
         path
         for path in sorted(place.glob("*.json"))
@@ -190,9 +182,9 @@ def _finished(title: str) -> Finished:
 def _read_record(path: Path, record: Mapping[str, Any]) -> Finished:
     from slamfusion.web import scene  # noqa: PLC0415  (loads slowly)
 
-    inputs, stem, is_run = record["inputs"], path.with_suffix(""), path.name == RUN_RECORD
+    inputs, stem, is_run = record["inputs"], path.with_suffix(""), path.name == outputs.RUN_RECORD
     found = _finished(path.absolute().parent.name if is_run else path.stem)
-    report = stem.with_name(REPORT)
+    report = stem.with_name(outputs.REPORT)
     found.report = report if (report / "report.html").exists() else None
     layers = {item["name"]: scene.layer_name(item["name"]) for item in inputs}
     entries = [
@@ -209,10 +201,10 @@ def _read_record(path: Path, record: Mapping[str, Any]) -> Finished:
         for item in inputs
     ]
     # The map that is drawn at the fused path is in the fused frame.
-    drawn = stem.with_name(f"{DRAWN}.yaml")
+    drawn = stem.with_name(f"{outputs.DRAWN}.yaml")
     has_drawn = is_run and drawn.exists()
     if has_drawn:
-        entries.append(scene.unlaid(DRAWN, "drawn at the fused path"))
+        entries.append(scene.unlaid(outputs.DRAWN, "drawn at the fused path"))
     _put_status(found.scene, record, entries)
 
     def near(name: str) -> Path:
@@ -227,10 +219,10 @@ def _read_record(path: Path, record: Mapping[str, Any]) -> Finished:
         paths = {name: stem.with_name(f"{name}.tum") for name in made}
         paths |= {item["name"]: near(item["file"]) for item in record.get("saved_paths") or ()}
         voted = [item["name"] for item in inputs if item["accepted"] and item["name"] in paths]
-        fused = {scene.FUSED: stem.with_name(FUSED_PATH)}
+        fused = {scene.FUSED: stem.with_name(outputs.FUSED_PATH)}
         found.put_paths(fused | {layers[name]: paths[name] for name in voted})
     found.put(scene.FUSED, "fused", stem.with_name(f"{stem.name}.yaml"))
-    agreement = stem.with_name(f"{stem.name}{AGREEMENT_END}.yaml")
+    agreement = stem.with_name(f"{stem.name}{outputs.AGREEMENT_END}.yaml")
     found.put(scene.AGREEMENT, "agreement", agreement)
     files = [*(stem.with_name(f"{name}.yaml") for name in made), *map(near, given)]
     settings = (record.get("config") or {}).get("map_files") or {}
@@ -238,10 +230,10 @@ def _read_record(path: Path, record: Mapping[str, Any]) -> Finished:
         options: dict[str, Any] = {"legacy_unknown": bool(settings.get("legacy_unknown"))}
         if file.suffix not in {".yaml", ".yml"} and not file.is_dir():
             options["resolution"] = record.get("resolution")
-        source = file / f"{FUSED}.yaml" if file.is_dir() else file
+        source = file / f"{outputs.FUSED}.yaml" if file.is_dir() else file
         found.put(layers[item["name"]], "input", source, shown=item["accepted"], **options)
     if has_drawn:
-        found.put(DRAWN, "input", drawn)
+        found.put(outputs.DRAWN, "input", drawn)
     return found
 
 
@@ -285,17 +277,17 @@ def _read_maps(folder: Path, files: Mapping[str, Path]) -> Finished:
     from slamfusion.web import scene  # noqa: PLC0415  (loads slowly)
 
     found = _finished(folder.absolute().name)
-    inputs = [name for name in files if name not in {FUSED, AGREEMENT}]
+    inputs = [name for name in files if name not in {outputs.FUSED, outputs.AGREEMENT}]
     layers = {name: scene.layer_name(name) for name in inputs}
     entries = [scene.unlaid(layers[name], "in its own frame") for name in inputs]
     words = f"{len(files)} maps; no record of their alignment"
     found.scene.put_status(entries, headline=words, level="plain", figures={})
     paths = {layers[name]: folder / f"{name}.tum" for name in inputs}
-    found.put_paths({scene.FUSED: folder / FUSED_PATH, **paths})
-    if FUSED in files:
-        found.put(scene.FUSED, "fused", files[FUSED])
-    if AGREEMENT in files:
-        found.put(scene.AGREEMENT, "agreement", files[AGREEMENT])
+    found.put_paths({scene.FUSED: folder / outputs.FUSED_PATH, **paths})
+    if outputs.FUSED in files:
+        found.put(scene.FUSED, "fused", files[outputs.FUSED])
+    if outputs.AGREEMENT in files:
+        found.put(scene.AGREEMENT, "agreement", files[outputs.AGREEMENT])
     for name in inputs:
         found.put(layers[name], "input", files[name])
     return found

@@ -17,14 +17,7 @@ from slamfusion.config import RunConfig
 from slamfusion.errors import ConfigError, SlamFusionError
 from slamfusion.evaluation.doubled_walls import doubled_wall_share
 from slamfusion.evaluation.measured import Row, map_figures, result_rows
-from slamfusion.experiments.fusions import (
-    FUSED_PATH,
-    FUSIONS,
-    against_truth,
-    drawn_at,
-    fuse_in_every_way,
-    produce_maps,
-)
+from slamfusion.experiments import fusions
 from slamfusion.experiments.page import Experiment
 from slamfusion.experiments.runs import RunResult, Setup, Tell, packed_maps, run_all
 from slamfusion.grid import OccupancyGrid
@@ -42,7 +35,7 @@ from slamfusion.trajectory import Trajectory
 TITLE = "Fusion on recorded drives"
 REFERENCE = "reference"
 # Rows of the table besides the producers' maps and the one drawn at the fused path.
-ROWS = (REFERENCE, FUSED_PATH, *FUSIONS, *map(drawn_at, BUILT_IN))
+ROWS = (REFERENCE, fusions.FUSED_PATH, *fusions.FUSIONS, *map(fusions.drawn_at, BUILT_IN))
 # Largest difference of the stamps of a scan and its reference pose (rounding), seconds.
 SAME_TIME_S = 0.02
 FIGURES = (
@@ -117,7 +110,7 @@ def compare_on_logs(
         [row for result in found for row in result.rows],
         FIGURES,
         inputs=list(dict.fromkeys(inputs)),
-        fusions=FUSIONS,
+        fusions=fusions.FUSIONS,
         notes=[(name, own.notes) for name, own in zip(names, found, strict=True)],
         remarks=[result.remark for result in found],
         read=read,
@@ -171,11 +164,11 @@ def _compare_on_log(
     reference, count = reference_map(scans, trajectory, config, device)
     others, their_paths = saved.load(config, None, log_warning)
 
-    produced = produce_maps(dict.fromkeys(BUILT_IN, scans), config, device, tell)
+    produced = fusions.produce_maps(dict.fromkeys(BUILT_IN, scans), config, device, tell)
     if not produced.paths:
         reasons = "; ".join(produced.notes.values())
         raise SlamFusionError(f"{name}: no producer made a map ({reasons})")
-    made = fuse_in_every_way(
+    made = fusions.fuse_in_every_way(
         produced,
         scans,
         config,
@@ -185,13 +178,13 @@ def _compare_on_log(
         drawn_cell_m=reference.resolution,
     )
     errors = made.path_errors(trajectory, SAME_TIME_S)
-    if FUSED_PATH in errors:
-        errors[DRAWN] = errors[FUSED_PATH]
+    if fusions.FUSED_PATH in errors:
+        errors[DRAWN] = errors[fusions.FUSED_PATH]
     rows: list[Row] = []
     differences = {}
     for method, grid in made.maps.items():
         if grid is not None:
-            found = against_truth(grid, reference, config, device)
+            found = fusions.against_truth(grid, reference, config, device)
             there = found.map_to_truth_m
             figures = {
                 **map_figures(found),

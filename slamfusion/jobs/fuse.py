@@ -24,6 +24,7 @@ from slamfusion.fusion.pipeline import align_inputs
 from slamfusion.grid import OCCUPIED, OccupancyGrid
 from slamfusion.io import AtomicFiles, save_map, write_atomic
 from slamfusion.io.map_store import MapStore, check_store, read_stored_map
+from slamfusion.jobs import outputs
 from slamfusion.jobs.documents import record_bytes
 from slamfusion.jobs.evaluate import evaluate_maps
 from slamfusion.jobs.fuse_documents import (
@@ -45,15 +46,6 @@ from slamfusion.jobs.inputs import (
     load_maps,
     load_truth,
     log_warning,
-)
-from slamfusion.jobs.outputs import (
-    FAILED,
-    FUSED,
-    failure_folder,
-    group_stems,
-    record_file,
-    remove_empty,
-    report_files,
 )
 from slamfusion.jobs.records import Circumstances
 from slamfusion.vote.tiles import TILE
@@ -253,12 +245,14 @@ def _fuse_into(
         for vote, path in zip(votes, stores, strict=True):
             size, origin, shape = vote.voter.resolution, vote.origin, vote.extent.shape
             facts = {"reference": vote.group.reference, "inputs": list(vote.group.alignments)}
-            arrays = MapStore(path, (FUSED, AGREEMENT_ARRAY), shape, TILE, size, origin, facts)
+            arrays = MapStore(
+                path, (outputs.FUSED, AGREEMENT_ARRAY), shape, TILE, size, origin, facts
+            )
             opened, phantom_cells, worst = open_stores.enter_context(arrays), 0, []
             for box, decided in vote.each(task, "vote", executor, progress):
                 if decided is not None:
                     cells = np.where(decided.fused == 1, np.int8(OCCUPIED), decided.fused)
-                    opened.write(FUSED, box, cells)
+                    opened.write(outputs.FUSED, box, cells)
                     opened.write(AGREEMENT_ARRAY, box, decided.agreement)
                     phantom_cells += decided.phantom_cells
                     worst.append(decided.worst)
@@ -272,14 +266,14 @@ def _fuse_into(
     for path, stem in zip(stores, stems, strict=True):
         if stem is not None:
             with AtomicFiles():
-                save_map(read_stored_map(path, FUSED), stem)
+                save_map(read_stored_map(path, outputs.FUSED), stem)
                 agreement = read_stored_map(path, AGREEMENT_ARRAY)
                 save_map(agreement, agreement_stem(stem), mode="raw")
     time_s = time.perf_counter() - began_s
     whole = replace(results[0], pairs=aligned.pairs, others=tuple(results[1:]), time_s=time_s)
     fused = FusedMaps(config, whole, None, (), given, stores, stems)
     if stems[0] is not None:
-        write_atomic(record_file(stems[0]), record_bytes(fused.document()))
+        write_atomic(outputs.record_file(stems[0]), record_bytes(fused.document()))
     return fused
 
 
@@ -294,7 +288,7 @@ def _require_all(
 
 def group_stores(store: Path, count: int) -> tuple[Path, ...]:
     """Return the stores of groups: OUT.zarr, OUT-2.zarr ..."""
-    stems = group_stems(store.with_suffix(""), count)
+    stems = outputs.group_stems(store.with_suffix(""), count)
     return tuple(stem.with_name(stem.name + store.suffix) for stem in stems)
 
 
@@ -323,7 +317,7 @@ def save_fused_maps(
     """
     stem, folder = Path(stem), None if report is None else Path(report)
     groups = (fused.in_memory, *fused.in_memory.others)
-    stems = group_stems(stem, len(groups))
+    stems = outputs.group_stems(stem, len(groups))
     document = fused.document(stems)
     with AtomicFiles() as files:
         for result, path in zip(groups, stems, strict=True):
@@ -336,10 +330,10 @@ def save_fused_maps(
             write_fusion_report(
                 fused.in_memory, folder, config=fused.config, evaluations=fused.evaluations
             )
-            files.remove(*report_files(folder / FAILED))
-        write_atomic(record_file(stem), record_bytes(document))
+            files.remove(*outputs.report_files(folder / outputs.FAILED))
+        write_atomic(outputs.record_file(stem), record_bytes(document))
     if folder is not None:
-        remove_empty(folder / FAILED)
+        outputs.remove_empty(folder / outputs.FAILED)
     return document
 
 
@@ -349,7 +343,7 @@ def write_failed_fusion(
     """Write the report of maps that were not fused, return its path; an earlier fusion's stays."""
     from slamfusion.report import write_failure_report, write_fusion_report  # noqa: PLC0415
 
-    folder = failure_folder(directory, report_files(directory))
+    folder = outputs.failure_folder(directory, outputs.report_files(directory))
     if isinstance(error, AllRequiredError) and error.result is not None:
         return write_fusion_report(error.result, folder, config=config, failure=str(error))
     return write_failure_report(

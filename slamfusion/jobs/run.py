@@ -26,22 +26,12 @@ from slamfusion.evidence.recommendation import Recommendation, recommend
 from slamfusion.fusion.groups import LEAST_FUSED
 from slamfusion.fusion.path_check import PathsApartError, fallback_map, fuse_with_paths
 from slamfusion.grid import OccupancyGrid
+from slamfusion.jobs import inputs
 from slamfusion.jobs.cases import CaseFile
 from slamfusion.jobs.evaluate import evaluate_maps
 from slamfusion.jobs.fuse import AllRequiredError
 from slamfusion.jobs.fuse_documents import DoubledWalls, Evaluation
 from slamfusion.jobs.fused_path import FusedPath, fuse_weighed_paths
-from slamfusion.jobs.inputs import (
-    RUN_DEFAULTS,
-    RUN_VOTE,
-    PixelSizes,
-    Progress,
-    Warn,
-    as_path,
-    device_for,
-    load_truth,
-    log_warning,
-)
 from slamfusion.jobs.map_log import measure_run
 from slamfusion.jobs.outputs import DRAWN, FUSED
 from slamfusion.jobs.records import Circumstances
@@ -77,10 +67,10 @@ def run_log(  # noqa: PLR0915 - one page, a heading a stage
     odometry: str | Path | None = None,
     truth: str | Path | None = None,
     truth_map: str | Path | None = None,
-    scale: PixelSizes | None = None,
+    scale: inputs.PixelSizes | None = None,
     scan_odometry: str | Path | None = None,
-    progress: Progress | None = None,
-    warn: Warn = log_warning,
+    progress: inputs.Progress | None = None,
+    warn: inputs.Warn = inputs.log_warning,
     prepare: Callable[[], None] = lambda: None,
 ) -> LogRun:
     """Map a log with several producers side by side, fuse their maps, and measure everything.
@@ -110,13 +100,13 @@ def run_log(  # noqa: PLR0915 - one page, a heading a stage
         TrajectoryError: relations, odometry or truth cannot be read.
         MapFileError: a map cannot be read.
     """
-    config = config or RUN_DEFAULTS
+    config = config or inputs.RUN_DEFAULTS
     saved = SavedMaps.of(saved_maps, saved_paths)
     given = (relations, odometry, truth, truth_map)
     files = RunFiles(
         Path(log),
-        *map(as_path, given),
-        scan_odometry=as_path(scan_odometry),
+        *map(inputs.as_path, given),
+        scan_odometry=inputs.as_path(scan_odometry),
         saved_maps=saved.files,
     )
     names = config.run.producers or BUILT_IN
@@ -134,10 +124,12 @@ def run_log(  # noqa: PLR0915 - one page, a heading a stage
         prepare()
         true_map = None
         if truth_map is not None:
-            true_map = load_truth(truth_map, config, resolution=resolution, scale=scale, warn=warn)
+            true_map = inputs.load_truth(
+                truth_map, config, resolution=resolution, scale=scale, warn=warn
+            )
         ground_truth = GroundTruth.read(config, relations, odometry, truth, warn)
         others, their_paths = saved.load(config, resolution, warn)
-        device = device_for(config)
+        device = inputs.device_for(config)
         outcomes = work.wait(stages.tell_slam)
     runs = {item.name: item.run for item in outcomes if item.run is not None}
     grids = (*(run.grid for run in runs.values()), *others)
@@ -265,9 +257,9 @@ class _Stages:
         slams: of each SLAM the share of the log that it has read.
     """
 
-    def __init__(self, progress: Progress | None, slams: Sequence[str]) -> None:
+    def __init__(self, progress: inputs.Progress | None, slams: Sequence[str]) -> None:
         self.begun_s = time.perf_counter()
-        self.progress: Progress = progress or (lambda *_: None)
+        self.progress: inputs.Progress = progress or (lambda *_: None)
         self.progress(WHOLE, 0, 1)
         self.ended = 0
         self.slams = dict.fromkeys(slams, 0.0)
@@ -364,7 +356,7 @@ def fuse_drive(
     device: ComputeDevice,
     *,
     shared_frame: bool,
-    progress: Progress | None = None,
+    progress: inputs.Progress | None = None,
     starts: Starts | None = None,
 ) -> DriveFusion:
     """Fuse the maps of a drive, or say why not, and compare the paths in the fused frame.
@@ -443,7 +435,7 @@ def voting_config(config: RunConfig) -> RunConfig:
     """Return the settings under which maps vote: of ``drawn`` those of the vote in its place."""
     if config.fusion.vote.mode != DRAWN:
         return config
-    vote = replace(config.fusion.vote, mode=RUN_VOTE)
+    vote = replace(config.fusion.vote, mode=inputs.RUN_VOTE)
     return replace(config, fusion=replace(config.fusion, vote=vote))
 
 

@@ -19,6 +19,7 @@ from slamfusion.evidence.recommendation import RankedPath, Recommendation
 from slamfusion.fusion.path_check import PathGap
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import AtomicFiles, save_map, write_tum
+from slamfusion.jobs import outputs
 from slamfusion.jobs.documents import number, record_bytes
 from slamfusion.jobs.fuse_documents import (
     DoubledWalls,
@@ -29,20 +30,6 @@ from slamfusion.jobs.fuse_documents import (
 from slamfusion.jobs.fused_path import FusedPath
 from slamfusion.jobs.inputs import LogFiles
 from slamfusion.jobs.map_log import ProducerResult, write_producer
-from slamfusion.jobs.outputs import (
-    AGREEMENT,
-    DRAWN,
-    FAILED,
-    FUSED,
-    FUSED_PATH,
-    REPORT,
-    RUN_RECORD,
-    failure_folder,
-    output_files,
-    possible_outputs,
-    remove_empty,
-    report_files,
-)
 from slamfusion.jobs.records import Circumstances
 from slamfusion.json_values import FLAT
 from slamfusion.trajectory import Trajectory
@@ -313,7 +300,10 @@ def save_run(run: LogRun, folder: str | Path, *, probabilities: bool = False) ->
 
     wanted = target = Path(folder)
     if run.usable is None:
-        target = failure_folder(wanted, [*possible_outputs(wanted), *report_files(wanted / REPORT)])
+        target = outputs.failure_folder(
+            wanted,
+            [*outputs.possible_outputs(wanted), *outputs.report_files(wanted / outputs.REPORT)],
+        )
     with AtomicFiles() as files:
         producers = [
             item
@@ -323,19 +313,19 @@ def save_run(run: LogRun, folder: str | Path, *, probabilities: bool = False) ->
         ]
         run = replace(run, producers=tuple(producers), folder=target)
         if run.usable is not None:
-            fused, _ = save_map(run.usable.fused, target / FUSED)
+            fused, _ = save_map(run.usable.fused, target / outputs.FUSED)
             agreed = run.usable.agreement
-            agreement, _ = save_map(agreed, target / AGREEMENT, mode="raw")
+            agreement, _ = save_map(agreed, target / outputs.AGREEMENT, mode="raw")
             run = replace(run, fused=fused, agreement=agreement)
         if run.fused_path is not None:
-            path = target / FUSED_PATH
+            path = target / outputs.FUSED_PATH
             write_tum(path, run.fused_path.trajectory)
             run = replace(run, fused_path=replace(run.fused_path, file=path))
         if run.drawn_map is not None:
-            drawn, _ = save_map(run.drawn_map.grid, target / DRAWN)
+            drawn, _ = save_map(run.drawn_map.grid, target / outputs.DRAWN)
             run = replace(run, drawn_map=replace(run.drawn_map, file=drawn))
         began_s = time.perf_counter()
-        page = write_run_page(run, target / REPORT)
+        page = write_run_page(run, target / outputs.REPORT)
         ended_s = time.perf_counter()
         run = replace(
             run,
@@ -344,12 +334,12 @@ def save_run(run: LogRun, folder: str | Path, *, probabilities: bool = False) ->
             time_s=ended_s - run.begun_s,
         )
         if run.usable is not None:
-            files.add(target / RUN_RECORD, record_bytes(run))
-        for place in [target] if run.usable is None else [wanted, wanted / FAILED]:
-            if report := report_files(place / REPORT):
-                files.remove(*possible_outputs(place), *report)
+            files.add(target / outputs.RUN_RECORD, record_bytes(run))
+        for place in [target] if run.usable is None else [wanted, wanted / outputs.FAILED]:
+            if report := outputs.report_files(place / outputs.REPORT):
+                files.remove(*outputs.possible_outputs(place), *report)
     if run.usable is not None:
-        remove_empty(wanted / FAILED / REPORT, wanted / FAILED)
+        outputs.remove_empty(wanted / outputs.FAILED / outputs.REPORT, wanted / outputs.FAILED)
     return run
 
 
@@ -358,7 +348,7 @@ def _add_producer(
 ) -> RunProducer:
     """Stage the map, the path and the record of a producer; return it with its files."""
     stem, config = folder / made.name, run.made_with.config
-    made = replace(made, files=output_files(stem, probabilities=probabilities))
+    made = replace(made, files=outputs.output_files(stem, probabilities=probabilities))
     record = RunRecord((made,), run.files, Circumstances(config, made.device))
     write_producer(made.run, record, stem, config, probabilities=probabilities)
     return made

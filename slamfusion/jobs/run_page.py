@@ -10,35 +10,9 @@ from slamfusion.evaluation.measured import MeasuredPath
 from slamfusion.geometry import Pose2
 from slamfusion.jobs.run_files import LogRun
 from slamfusion.palette import NAMED, Rgb
-from slamfusion.report import paths
+from slamfusion.report import fusion_report, maps, page, paths
 from slamfusion.report.canvas import MARKS
 from slamfusion.report.errors import broken, drawable, error_facts, errors_section, series_picture
-from slamfusion.report.fusion_report import (
-    alignment_section,
-    doubtful_lines,
-    fused_section,
-    fusion_facts,
-    inputs_section,
-    statistics_section,
-)
-from slamfusion.report.maps import (
-    error_section,
-    input_colours,
-    input_picture,
-    map_statistics,
-    pairs_section,
-)
-from slamfusion.report.page import (
-    NO_TABLES,
-    Banner,
-    Fact,
-    Page,
-    Picture,
-    Section,
-    tables,
-    write_page,
-)
-from slamfusion.report.paths import evidence_section, path_colours, place_lines, strip_picture
 from slamfusion.slam.common.mapper import Series
 from slamfusion.slam.common.runner import ProducerRun
 
@@ -49,15 +23,15 @@ FUSED_PATH, FUSED_VERDICT, FUSED_MAP = "fused path", "fused", "fused map"
 
 def write_run_page(run: LogRun, directory: str | Path) -> Path:
     """Write the report of a run; see ``write_page``."""
-    return write_page(run_page(run), directory)
+    return page.write_page(run_page(run), directory)
 
 
-def run_page(run: LogRun) -> Page:
+def run_page(run: LogRun) -> page.Page:
     """Return the report of a run."""
     config, result = run.made_with.config, run.fusion.result
     normalize = config.fusion.normalize
     # Each input and path has one colour on all of the page.
-    colours = input_colours([*(grid.name for grid in run.grids), *run.paths])
+    colours = maps.input_colours([*(grid.name for grid in run.grids), *run.paths])
     colours[FUSED_PATH] = NAMED["fused"]
     measured = list(run.paths.values())
     if (fused := run.fused_path) is not None:
@@ -67,34 +41,34 @@ def run_page(run: LogRun) -> Page:
     if run.results:
         sections += [*_drive_section(run, colours), _paths_section(run, colours)]
     if run.recommendation is not None and run.evidence is not None:
-        sections.append(evidence_section(run.recommendation, run.evidence, colours))
+        sections.append(paths.evidence_section(run.recommendation, run.evidence, colours))
     if result is not None:
-        sections.append(alignment_section(result))
+        sections.append(fusion_report.alignment_section(result))
     elif run.fusion.pairs:
-        sections.append(pairs_section(run.grids, run.fusion.pairs, normalize))
+        sections.append(maps.pairs_section(run.grids, run.fusion.pairs, normalize))
     sections += errors_section(measured, colours)
     if run.evaluations:
         alignments = [item.alignment for item in run.evaluations]
-        sections.append(error_section(run.evaluations, alignments))
+        sections.append(maps.error_section(run.evaluations, alignments))
     sections.append(_timings_section(run))
     if result is not None:
         walls = run.fusion.doubled
         doubled = None if walls is None else walls.inputs | {FUSED_MAP: walls.fused}
-        sections.append(statistics_section(result, config, doubled))
+        sections.append(fusion_report.statistics_section(result, config, doubled))
     elif run.grids:
-        table = map_statistics(run.grids, normalize)
-        sections.append(Section("The maps in numbers", tables=table))
+        table = maps.map_statistics(run.grids, normalize)
+        sections.append(page.Section("The maps in numbers", tables=table))
     facts = _facts(run, measured)
-    return Page("SLAMfusion run", _banner(run), facts, sections, config, run.made_with.device)
+    return page.Page("SLAMfusion run", _banner(run), facts, sections, config, run.made_with.device)
 
 
-def _banner(run: LogRun) -> Banner:
+def _banner(run: LogRun) -> page.Banner:
     """Say first what to use, then what to check, then what was fused and what was not."""
     answer, result = run.recommendation, run.fusion.result
-    lines = [] if answer is None else place_lines(answer)
+    lines = [] if answer is None else paths.place_lines(answer)
     lines += [(f"{item.name} made no map:", item.failed) for item in run.failed]
     if result is not None:
-        lines += doubtful_lines(result)
+        lines += fusion_report.doubtful_lines(result)
     for name, item in run.results.items():
         lines += [(f"{name}:", text) for text in item.run.warnings()]
     if run.why_voted is not None:
@@ -102,7 +76,7 @@ def _banner(run: LogRun) -> Banner:
     lines += [("Not measured:", trouble) for trouble in run.not_measured]
     if result is None or run.error is not None:
         headline = "Do not use this map" if result is not None else "Nothing was fused"
-        return Banner("bad", headline, [("", run.error or ""), *lines])
+        return page.Banner("bad", headline, [("", run.error or ""), *lines])
     accepted = ", ".join(record.name for record in result.accepted)
     how = f"by vote ({run.fused_mode})"
     if run.fused_mode == "drawn":
@@ -114,52 +88,56 @@ def _banner(run: LogRun) -> Banner:
         f"Only {fused} of {total}" if fused < total else ("Both" if total == 2 else f"All {total}")
     )
     if answer is None:
-        return Banner("warn" if fused < total else "plain", f"{how_many} maps were fused", lines)
+        return page.Banner(
+            "warn" if fused < total else "plain", f"{how_many} maps were fused", lines
+        )
     lines.append(("", f"{how_many} maps were fused."))
-    return Banner(answer.tone, answer.headline, lines)
+    return page.Banner(answer.tone, answer.headline, lines)
 
 
-def _facts(run: LogRun, measured: Sequence[MeasuredPath]) -> list[Fact]:
+def _facts(run: LogRun, measured: Sequence[MeasuredPath]) -> list[page.Fact]:
     facts = []
     for item in list(run.results.values())[:1]:
         path = item.run.trajectory
         duration_s = float(path.stamps_s[-1] - path.stamps_s[0])
         length = f"{path.path_length_m():.0f} m in {duration_s:.0f} s"
-        facts.append(Fact(length, f"drive, {item.run.scans} scans"))
+        facts.append(page.Fact(length, f"drive, {item.run.scans} scans"))
     if run.fusion.result is not None:
-        facts += fusion_facts(run.fusion.result, len(run.failed))
+        facts += fusion_report.fusion_facts(run.fusion.result, len(run.failed))
     if run.path_gaps:
         widest = max(gap.median_m for gap in run.path_gaps)
         what = "between the paths farthest apart in the fused map (median)"
-        facts.append(Fact(f"{widest:.2f} m", what))
+        facts.append(page.Fact(f"{widest:.2f} m", what))
     facts += [fact for path in measured for fact in error_facts(path)]
-    facts += [Fact(f"{one.error:.1f}", f"{one.name}: map error [F16]") for one in run.evaluations]
-    time = Fact(f"{sum(run.stages_s.values()):.1f} s", "for all, without this page")
+    facts += [
+        page.Fact(f"{one.error:.1f}", f"{one.name}: map error [F16]") for one in run.evaluations
+    ]
+    time = page.Fact(f"{sum(run.stages_s.values()):.1f} s", "for all, without this page")
     return [*facts, time]
 
 
-def _maps_section(run: LogRun, colours: Mapping[str, Rgb]) -> Section:
+def _maps_section(run: LogRun, colours: Mapping[str, Rgb]) -> page.Section:
     """Return who was off when, the fused map, the inputs that voted, and where they agree."""
     result, config, answer = run.fusion.result, run.made_with.config, run.recommendation
     if result is None:
-        pictures = [input_picture(grid, config.fusion.normalize) for grid in run.grids]
-        return Section("Maps", "Each map in its own frame.", pictures)
+        pictures = [maps.input_picture(grid, config.fusion.normalize) for grid in run.grids]
+        return page.Section("Maps", "Each map in its own frame.", pictures)
     voted = {record.name for record in result.accepted}
     shown = {name: own.trajectory for name, own in run.paths.items() if name in voted}
     if run.fused_path is not None:
         shown[FUSED_VERDICT] = run.fused_path.trajectory
     places = [] if answer is None else [(place.x, place.y) for place in answer.check]
-    section = fused_section(result, shown, places)
+    section = fusion_report.fused_section(result, shown, places)
     fused, *others = section.pictures
-    inputs = inputs_section(result, config)
+    inputs = fusion_report.inputs_section(result, config)
     pictures = [fused, *inputs.pictures, *others]
     if answer is not None and run.evidence is not None:
-        strip = strip_picture(answer, path_colours(answer, run.evidence, colours))
+        strip = paths.strip_picture(answer, paths.path_colours(answer, run.evidence, colours))
         pictures.insert(0, strip)
-    return Section("Maps", inputs.text, pictures, layers=section.layers)
+    return page.Section("Maps", inputs.text, pictures, layers=section.layers)
 
 
-def _drive_section(run: LogRun, colours: Mapping[str, Rgb]) -> list[Section]:
+def _drive_section(run: LogRun, colours: Mapping[str, Rgb]) -> list[page.Section]:
     """Return the match scores and each SLAM's own quantities over time; empty without any."""
     runs = [item.run for item in run.results.values()]
     series = [(item.name, one) for item in runs for one in drawable(_over_time(item))]
@@ -175,8 +153,8 @@ def _drive_section(run: LogRun, colours: Mapping[str, Rgb]) -> list[Section]:
         "Match score: share of a scan's hits that fall on known walls; a robot that gets lost has "
         "many low ones in a row. Dotted: limits."
     )
-    picture = Picture("over-time", figure, "The SLAMs over the drive", caption, legend=legend)
-    return [Section("Over the drive", pictures=[picture])]
+    picture = page.Picture("over-time", figure, "The SLAMs over the drive", caption, legend=legend)
+    return [page.Section("Over the drive", pictures=[picture])]
 
 
 def _over_time(run: ProducerRun) -> list[Series]:
@@ -191,22 +169,22 @@ def _over_time(run: ProducerRun) -> list[Series]:
     return series
 
 
-def _timings_section(run: LogRun) -> Section:
+def _timings_section(run: LogRun) -> page.Section:
     """Return the numbers of each SLAM, and the time of the stages."""
     shown = {name: dict(item.figures()) for name, item in run.results.items()}
     rows = list(dict.fromkeys(row for own in shown.values() for row in own))
     slams = [(row, [own.get(row, "-") for own in shown.values()]) for row in rows]
-    found = tables().timings(list(shown), slams, run.stages_s)
+    found = page.tables().timings(list(shown), slams, run.stages_s)
     text = "; ".join((f"The log: {run.files.log}", *run.log_notes()))
-    return Section("Health, times and memory", text, tables=found)
+    return page.Section("Health, times and memory", text, tables=found)
 
 
 # --- paths -------------------------------------------------------------------------------------
 
 
-def _paths_section(run: LogRun, colours: Mapping[str, Rgb]) -> Section:
+def _paths_section(run: LogRun, colours: Mapping[str, Rgb]) -> page.Section:
     """Return all paths in the fused map, or each over its own map, and how far they are apart."""
-    config, pictures, table = run.made_with.config, [], NO_TABLES
+    config, pictures, table = run.made_with.config, [], page.NO_TABLES
     accepted = [] if run.fusion.result is None else run.fusion.result.accepted
     placed = {
         record.name: Pose2() if record.alignment is None else record.alignment.transform
@@ -219,7 +197,7 @@ def _paths_section(run: LogRun, colours: Mapping[str, Rgb]) -> Section:
             path, grid = item.run.trajectory, item.run.grid
             picture = paths.path_picture(path, grid=grid, normalize=config.fusion.normalize)
             title = f"{name}: its path over its map"
-            pictures.append(Picture(f"path-{name}", picture, title, legend=MARKS))
+            pictures.append(page.Picture(f"path-{name}", picture, title, legend=MARKS))
     if gaps := run.path_gaps:
         limit_m = config.run.path_gap_m
         over_time = [
@@ -237,12 +215,12 @@ def _paths_section(run: LogRun, colours: Mapping[str, Rgb]) -> Section:
             "All SLAMs ran on one robot: where two paths part, one of them or the alignment of "
             "their maps is wrong."
         )
-        pictures.append(Picture("path-gaps", figure, title, caption))
-        table = tables().path_gaps(gaps, limit_m)
-    return Section("Paths", "", pictures, table)
+        pictures.append(page.Picture("path-gaps", figure, title, caption))
+        table = page.tables().path_gaps(gaps, limit_m)
+    return page.Section("Paths", "", pictures, table)
 
 
-def _together(run: LogRun, placed: Mapping[str, Pose2], colours: Mapping[str, Rgb]) -> Picture:
+def _together(run: LogRun, placed: Mapping[str, Pose2], colours: Mapping[str, Rgb]) -> page.Picture:
     """Return the paths whose maps were fused, with truth and odometry, in the fused map."""
     result = run.fusion.result
     shown = {
@@ -277,4 +255,4 @@ def _together(run: LogRun, placed: Mapping[str, Pose2], colours: Mapping[str, Rg
         normalize=run.made_with.config.fusion.normalize,
     )
     title, text = "The paths over the fused map", " ".join(sentences)
-    return Picture("paths", picture, title, text, legend=paths.paths_legend(lines))
+    return page.Picture("paths", picture, title, text, legend=paths.paths_legend(lines))
