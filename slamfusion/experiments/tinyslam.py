@@ -14,7 +14,7 @@ from typing import cast, get_args
 import pandas as pd
 
 from slamfusion.compute import ComputeDevice
-from slamfusion.config import OccupancyEstimator, RunConfig
+from slamfusion.config import CellModel, OccupancyEstimator, RunConfig
 from slamfusion.errors import LogError
 from slamfusion.evaluation.measured import GroundTruth, Row, figure_of, result_rows
 from slamfusion.experiments.page import Experiment
@@ -30,7 +30,7 @@ from slamfusion.slam.common.runner import run_producer
 from slamfusion.slam.gmapping import Gmapping
 from slamfusion.slam.registry import settings_of
 from slamfusion.slam.tinyslam import TinySlam
-from slamfusion.slam.tinyslam.slam import CELL_MODELS
+from slamfusion.slam.tinyslam.slam import cell_value
 from slamfusion.trajectory import Trajectory
 
 RELATIONS, ATE, TIME = FIGURES = ("relations_mean_m", "ate_rmse_m", "time_per_scan_ms")
@@ -43,7 +43,7 @@ OCCUPIED_COUNTS = (3, 6, 9)
 OCCUPIED_VALUE, FREE_VALUE = 0.95, 0.01
 QUALITY = {"base": 0.2, "mean": 1.0}
 # "Forward": the occupied observations come first; "backward": the free ones.
-PAPER = {
+PAPER: dict[tuple[CellModel, str], tuple[float, ...]] = {
     ("base", "forward"): (0.105, 0.225, 0.460),
     ("base", "backward"): (0.502, 0.737, 0.858),
     ("mean", "forward"): (0.245, 0.480, 0.715),
@@ -67,7 +67,7 @@ def table_two() -> Experiment:
             observed = [OCCUPIED_VALUE] * occupied + [FREE_VALUE] * (OBSERVATIONS - occupied)
             if order == "backward":
                 observed.reverse()
-            value = float(CELL_MODELS[model](observed, QUALITY[model])[-1])
+            value = cell_value(model, observed, QUALITY[model])
             case = f"{order}, {occupied} occupied"
             rows += result_rows(case, "", model, {"value": value})
             rows += result_rows(case, "", f"{model} [H16]", {"value": paper})

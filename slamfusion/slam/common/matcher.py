@@ -126,13 +126,16 @@ class ScanOnTiles:
         self._box = (math.inf, math.inf, -math.inf, -math.inf)
         self._range = float(np.hypot(*looked_at.T).max()) + self._reach + 2.0
 
-    def wide_scores(self, poses: F64) -> F64:
-        """Return (N,) scores, 0 to 1, of poses (N, 3) on wide basins, by half of the points."""
-        return self._means(self._few_points, poses, self._reach)
+    def scores(self, poses: F64, *, wide: bool = False) -> F64:
+        """Return (N,) scores, 0 to 1, of poses (N, 3): mean wall value under the hits.
 
-    def scores(self, poses: F64) -> F64:
-        """Return (N,) scores, 0 to 1, of poses (N, 3): mean wall value under the hits."""
-        return self._means(self._points, poses)
+        If ``wide``, on wide basins, by half of the hits.
+        """
+        points = self._few_points if wide else self._points
+        table = pose_table(poses, self._cell, self._corner)
+        window, reach = self._window_at(table, 0.0), self._reach if wide else 0
+        sums = self._device.score_poses(window, points, table, reach=reach)
+        return np.asarray(sums * _scale(points))
 
     def unseen_share(self, pose: F64, unseen: int) -> float:
         """Return the share of the hits at a pose (3,) whose field value is ``unseen``."""
@@ -180,12 +183,6 @@ class ScanOnTiles:
         x, y, yaw, _, _, objective = found[found[:, 5].argmax()].tolist()
         place = (np.array((x, y)) + corner) * cell
         return np.append(place, wrap_angle(yaw + yaw0)), objective
-
-    def _means(self, points: DeviceArray[Any], poses: F64, reach: int = 0) -> F64:
-        table = pose_table(poses, self._cell, self._corner)
-        window = self._window_at(table, 0.0)
-        sums = self._device.score_poses(window, points, table, reach=reach)
-        return np.asarray(sums * _scale(points))
 
     def _window_at(self, poses: npt.NDArray[Any], farther: F64 | float) -> FieldWindow:
         """Return a window with all that hits reach at poses (N, 2 or more), cells, and around."""
@@ -249,7 +246,7 @@ def search_pose(
     each = -(-config.first_poses // len(hypotheses))
     draws = rng.standard_normal((len(hypotheses), each, 3))
     poses = (centres[:, None, :] + draws * sigmas[:, None, :]).reshape(-1, 3)
-    order = np.argsort(loss(poses) - scan.wide_scores(poses), kind="stable")
+    order = np.argsort(loss(poses) - scan.scores(poses, wide=True), kind="stable")
     starts = np.concatenate((poses[order[: config.climbers]], centres))
     # Hill climbing; each round's first step is zero, which keeps the best pose so far.
     widths = sigmas.max(axis=0) * FIRST_NARROWING * NARROWING ** np.arange(config.rounds)[:, None]

@@ -9,7 +9,7 @@ Sources: Steux and El Hamzaoui, tinySLAM, ICARCV 2010; Huletski, Kartashov and K
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -17,7 +17,7 @@ import numpy.typing as npt
 from slamfusion.compute import ComputeDevice
 from slamfusion.compute.cell_means import ScanRule
 from slamfusion.compute.layout import BEAM_ONE, MEAN_HALF, MOST_OBSERVATIONS, UNSEEN, VALUE_ONE
-from slamfusion.config import TinySlamConfig
+from slamfusion.config import CellModel, TinySlamConfig
 from slamfusion.errors import SlamFusionError
 from slamfusion.geometry import F64, Pose2, corners, pose_of, row_of
 from slamfusion.grid import UNKNOWN, OccupancyGrid
@@ -29,55 +29,30 @@ from slamfusion.slam.common.tile_map import TileMap, known_part
 from slamfusion.slam.common.tracking import Tracker
 from slamfusion.trajectory import Trajectory
 
-CellModel = Callable[[npt.ArrayLike, npt.ArrayLike], F64]
-
 # Value, 0 to 1, of a cell that nothing is known of: as likely a wall as free.
 UNKNOWN_VALUE = 0.5
 
 
-def base_cell(observations: npt.ArrayLike, quality: npt.ArrayLike) -> F64:
-    """Return a cell's value by tinySLAM's own model, before and after each observation.
+def cell_value(model: CellModel, observations: Sequence[float], quality: float) -> float:
+    """Return a cell's value, 0 to 1, after observations of one quality.
 
-    Each observation v moves the value by a share q of the way: ``m <- (1 - q) m + q v``. What
-    came last counts most, so the order matters.
-
-    Args:
-        observations: (N, ...), 0 free to 1 occupied, in order; more axes are more cells.
-        quality: q, 0 to 1; one number, or one for each observation.
-
-    Returns:
-        (N + 1, ...) float64; the first is ``UNKNOWN_VALUE``.
-
-    Source: [H16], the base cell.
-    """
-    told = np.asarray(observations, dtype=np.float64)
-    values = np.full((len(told) + 1, *told.shape[1:]), UNKNOWN_VALUE)
-    for index, (v, q) in enumerate(zip(told, np.broadcast_to(quality, told.shape), strict=True)):
-        values[index + 1] = (1.0 - q) * values[index] + q * v
-    return values
-
-
-def mean_cell(observations: npt.ArrayLike, quality: npt.ArrayLike) -> F64:
-    """Return a cell's value by the modified model, before and after each observation.
-
-    The value is the mean of ``0.5 + (v - 0.5) q`` over the observations so far: their order does
-    not matter, and one of low quality says little.
+    ``base``, tinySLAM's own model, moves the value by a share, ``m <- (1 - q) m + q v``: what came
+    last counts most. ``mean`` is the mean of ``0.5 + (v - 0.5) q``: the order does not matter, and
+    an observation of low quality says little.
 
     Args:
-        observations: (N, ...), 0 free to 1 occupied; more axes are more cells.
-        quality: q, 0 to 1; one number, or one for each observation.
+        observations: 0 free to 1 occupied, in order.
+        quality: q, 0 to 1.
 
-    Source: [H16], the modified cell.
+    Source: [H16], the base and the modified cell.
     """
-    told = np.asarray(observations, dtype=np.float64)
-    believed = UNKNOWN_VALUE + (told - UNKNOWN_VALUE) * np.broadcast_to(quality, told.shape)
-    counts = np.arange(1, len(told) + 1, dtype=np.float64)
-    means = np.cumsum(believed, axis=0) / counts.reshape(-1, *(1,) * (told.ndim - 1))
-    return np.concatenate((np.full((1, *told.shape[1:]), UNKNOWN_VALUE), means))
-
-
-# By the names of ``TinySlamConfig.cell_model``.
-CELL_MODELS: dict[str, CellModel] = {"base": base_cell, "mean": mean_cell}
+    value = UNKNOWN_VALUE
+    for count, told in enumerate(observations, start=1):
+        if model == "base":
+            value = (1.0 - quality) * value + quality * told
+        else:
+            value += (UNKNOWN_VALUE + (told - UNKNOWN_VALUE) * quality - value) / count
+    return value
 
 
 def area_behind(offset_x: npt.ArrayLike, offset_y: npt.ArrayLike, angle_rad: npt.ArrayLike) -> F64:

@@ -8,9 +8,10 @@ import pytest
 from slamfusion.compute import ComputeDevice, NumpyDevice, open_device
 from slamfusion.compute.cell_means import ScanRule
 from slamfusion.compute.layout import BEAM_ONE, TILE, UNSEEN
+from slamfusion.config import CellModel
 from slamfusion.errors import MemoryBudgetError
 from slamfusion.slam.common.tile_map import TileMap
-from slamfusion.slam.tinyslam.slam import CELL_MODELS
+from slamfusion.slam.tinyslam.slam import cell_value
 
 POOLS = {
     "observed": (np.uint32, 0),
@@ -77,7 +78,7 @@ def test_an_absurd_size_is_refused_in_words():
 
 
 @pytest.mark.parametrize(("model", "quality"), [("base", 0.2), ("mean", 1.0), ("mean", 0.3)])
-def test_cells_follow_the_paper_s_models(device: ComputeDevice, model: str, quality: float):
+def test_cells_follow_the_paper_s_models(device: ComputeDevice, model: CellModel, quality: float):
     """A cell that is hit and passed in turns holds what [H16]'s formulas say."""
     tiles = TileMap(device, POOLS)
     rule = RULE._replace(quality=round(1024 * quality), is_mean=model == "mean")
@@ -87,7 +88,7 @@ def test_cells_follow_the_paper_s_models(device: ComputeDevice, model: str, qual
         told.append(0.95 if hit else 0.01)
         states, first = tiles.cells("published")
         found = int(states[-first[1], 6 - first[0]] >> 12) / 2**20
-        assert found == pytest.approx(CELL_MODELS[model](told, quality)[-1], abs=1e-3)
+        assert found == pytest.approx(cell_value(model, told, quality), abs=1e-3)
 
 
 def test_a_valley_slopes_to_both_sides_of_a_hit(device: ComputeDevice):

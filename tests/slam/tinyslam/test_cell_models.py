@@ -5,35 +5,27 @@ from __future__ import annotations
 import math
 from random import Random
 
-import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from slamfusion.slam.tinyslam.slam import CELL_MODELS, CellModel, area_behind, base_cell, mean_cell
+from slamfusion.slam.tinyslam.slam import area_behind, cell_value
 
 VALUES = st.lists(st.floats(0.0, 1.0), min_size=1, max_size=20)
 
 
 def test_base_moves_a_share_of_the_way() -> None:
-    assert base_cell([1.0, 0.0], 0.25).tolist() == [0.5, 0.625, 0.46875]
+    assert [cell_value("base", [1.0, 0.0][:count], 0.25) for count in range(3)] == [
+        0.5,
+        0.625,
+        0.46875,
+    ]
 
 
 def test_mean_is_that_of_the_believed_observations() -> None:
     # Believed at 0.5: 0.75 and 0.25, then 0.75 again.
-    assert mean_cell([1.0, 0.0, 1.0], 0.5).tolist() == pytest.approx([0.5, 0.75, 0.5, 1.75 / 3])
-
-
-@pytest.mark.parametrize("model", CELL_MODELS.values(), ids=CELL_MODELS)
-def test_each_observation_may_have_its_quality(model: CellModel) -> None:
-    values = model([1.0, 0.0, 1.0], [1.0, 0.0, 0.0])
-    assert values[1] == 1.0
-    assert values[-1] == {base_cell: 1.0, mean_cell: 2.0 / 3.0}[model]
-
-
-@pytest.mark.parametrize("model", CELL_MODELS.values(), ids=CELL_MODELS)
-def test_a_cell_never_told_anything_is_unknown(model: CellModel) -> None:
-    assert model(np.zeros(0), 1.0).tolist() == [0.5]
+    values = [cell_value("mean", [1.0, 0.0, 1.0][:count], 0.5) for count in range(4)]
+    assert values == pytest.approx([0.5, 0.75, 0.5, 1.75 / 3])
 
 
 @given(VALUES, st.floats(0.0, 1.0), st.randoms(use_true_random=False))
@@ -41,8 +33,8 @@ def test_mean_forgets_the_order_and_stays_between(
     told: list[float], quality: float, random: Random
 ) -> None:
     shuffled = random.sample(told, len(told))
-    value = mean_cell(told, quality)[-1]
-    assert mean_cell(shuffled, quality)[-1] == pytest.approx(value)
+    value = cell_value("mean", told, quality)
+    assert cell_value("mean", shuffled, quality) == pytest.approx(value)
     assert min(*told, 0.5) - 1e-12 <= value <= max(*told, 0.5) + 1e-12
 
 
