@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
@@ -23,9 +22,6 @@ from slamfusion.jobs.cases import (
     shared_case_names,
 )
 from slamfusion.jobs.inputs import load_maps
-
-if TYPE_CHECKING:
-    from slamfusion.jobs.trajectory import TrajectoriesDocument
 
 
 def paths_in(item: CaseFile) -> list[CaseFile]:
@@ -99,11 +95,9 @@ def command(
     that. The same holds for the files of other options. One table and one report then
     show all paths.
     """
-    from slamfusion.jobs.records import Settings  # noqa: PLC0415
     from slamfusion.jobs.trajectory import (  # noqa: PLC0415
-        TrajectoryDocument,
         measure_trajectories,
-        trajectories_document,
+        trajectory_document,
         write_trajectories,
     )
 
@@ -129,10 +123,7 @@ def command(
     if report_dir is not None:
         write_trajectories(found, report_dir, config)
     rows = [row for own in found for row in own.rows()]
-    document: TrajectoryDocument | TrajectoriesDocument
-    document = TrajectoryDocument(found[0], Settings(config))
-    if not is_one:
-        document = trajectories_document(found, not_measured, config)
+    document = trajectory_document(found, not_measured, config, several=not is_one)
     inputs = [own.placed for own in found]
     results.save_results(results_path, document, rows, lambda: measured_inputs(inputs, known))
     if as_json:

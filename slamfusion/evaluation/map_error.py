@@ -16,18 +16,9 @@ import numpy.typing as npt
 
 from slamfusion.config import NormalizeConfig
 from slamfusion.errors import GridError
+from slamfusion.evaluation import wall_faces
 from slamfusion.evaluation.distances import sample_on_lattice, wall_centres
 from slamfusion.evaluation.doubled_walls import doubled_wall_share
-from slamfusion.evaluation.wall_faces import (
-    Nearness,
-    WallDistance,
-    WallFaces,
-    WallThickness,
-    compare_faces,
-    distance_summary,
-    outside_area,
-    wall_thickness,
-)
 from slamfusion.geometry import Pose2
 from slamfusion.grid import (
     FREE,
@@ -123,13 +114,13 @@ class MapError:
     """Cells occupied in both over cells occupied in either; null when there are none."""
     iou_free: float | None
     """Cells free in both over cells free in either; null when there are none."""
-    map_to_truth_m: WallDistance | None
+    map_to_truth_m: wall_faces.WallDistance | None
     """From each wall of the map to the nearest true wall; null when a side has none."""
-    truth_to_map_m: WallDistance | None
+    truth_to_map_m: wall_faces.WallDistance | None
     """From each true wall to the nearest wall of the map; null when a side has none."""
-    faces: WallFaces
+    faces: wall_faces.WallFaces
     """The faces of the map's walls against the true ones."""
-    wall_thickness_m: WallThickness | None
+    wall_thickness_m: wall_faces.WallThickness | None
     """How thick the map's walls are; null when no wall is next to a free cell."""
     doubled_wall_share: float
     """Share of the map's wall cells that have a parallel wall close by, 0 to 1."""
@@ -204,7 +195,7 @@ def compare_to_truth(
     # The walls, as points of the truth's map frame.
     true_walls = wall_centres(true_classes, truth)
     map_walls = wall_centres(map_classes, grid, transform)
-    walls = Nearness.between(map_walls, true_walls)
+    walls = wall_faces.Nearness.between(map_walls, true_walls)
     agreement = walls.agreement(tolerance_m)
 
     known = max(1, int(confusion[1:].sum()))
@@ -223,12 +214,12 @@ def compare_to_truth(
         wall_f1=agreement.f1,
         iou_occupied=_intersection_over_union(confusion, 2),
         iou_free=_intersection_over_union(confusion, 1),
-        map_to_truth_m=distance_summary(walls.map_to_truth),
-        truth_to_map_m=distance_summary(walls.truth_to_map),
-        faces=compare_faces(map_classes, grid, transform, true_classes, truth),
-        wall_thickness_m=wall_thickness(grid, normalize=normalize),
+        map_to_truth_m=wall_faces.distance_summary(walls.map_to_truth),
+        truth_to_map_m=wall_faces.distance_summary(walls.truth_to_map),
+        faces=wall_faces.compare_faces(map_classes, grid, transform, true_classes, truth),
+        wall_thickness_m=wall_faces.wall_thickness(grid, normalize=normalize),
         doubled_wall_share=doubled_wall_share(grid, normalize=normalize),
-        outside_m2=outside_area(
+        outside_m2=wall_faces.outside_area(
             map_classes, grid, transform, true_classes, truth, margin_m=tolerance_m
         ),
         ssim=_mean_ssim(expected, found),

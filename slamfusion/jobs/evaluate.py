@@ -20,18 +20,9 @@ from slamfusion.evaluation.measured import Row, map_figures, result_rows
 from slamfusion.fusion import align_grids, fuse_grids
 from slamfusion.geometry import Pose2
 from slamfusion.io import AtomicFiles
+from slamfusion.jobs import inputs
 from slamfusion.jobs.cases import CaseFile, Placed, case_names, place_files
 from slamfusion.jobs.fuse_documents import Evaluation, FusedInput
-from slamfusion.jobs.inputs import (
-    MapInput,
-    PixelSizes,
-    Progress,
-    Warn,
-    device_for,
-    load_maps,
-    load_truth,
-    log_warning,
-)
 from slamfusion.jobs.plan import align_plan_with_all
 from slamfusion.jobs.records import Settings, Summaries
 from slamfusion.json_values import FLAT
@@ -106,15 +97,15 @@ class EvaluatedMaps:
 
 
 def evaluate_maps(
-    maps: Sequence[MapInput],
-    truth: MapInput,
+    maps: Sequence[inputs.MapInput],
+    truth: inputs.MapInput,
     config: RunConfig | None = None,
     device: ComputeDevice | None = None,
     *,
     align: bool = True,
-    scale: PixelSizes | None = None,
+    scale: inputs.PixelSizes | None = None,
     resolution: float | None = None,
-    progress: Progress | None = None,
+    progress: inputs.Progress | None = None,
 ) -> tuple[Evaluation, ...]:
     """Compare each map with the truth, aligned first.
 
@@ -133,9 +124,9 @@ def evaluate_maps(
         GridError: a map has no known cell, or does not fit the truth.
     """
     config = config or RunConfig()
-    grids = load_maps(maps, config, resolution=resolution, measured=True)
-    true_grid = load_truth(truth, config, resolution=resolution, scale=scale)
-    device = device_for(config, device)
+    grids = inputs.load_maps(maps, config, resolution=resolution, measured=True)
+    true_grid = inputs.load_truth(truth, config, resolution=resolution, scale=scale)
+    device = inputs.device_for(config, device)
     search = replace(config.fusion, align=replace(config.fusion.align, step=None))
     plans = None
     if scale is not None:
@@ -166,10 +157,10 @@ def evaluate_maps(
 
 
 def compare_maps(
-    maps: Sequence[MapInput],
+    maps: Sequence[inputs.MapInput],
     config: RunConfig | None = None,
     device: ComputeDevice | None = None,
-    progress: Progress | None = None,
+    progress: inputs.Progress | None = None,
 ) -> FusionResult:
     """Compare maps of one place by ``wall_agreement`` and ``bent`` of a ``consensus`` fusion.
 
@@ -178,9 +169,9 @@ def compare_maps(
         MapFileError: a map cannot be read.
     """
     config = config or RunConfig()
-    grids = load_maps(maps, config)
+    grids = inputs.load_maps(maps, config)
     fusion = replace(config.fusion, vote=replace(config.fusion.vote, mode="consensus"))
-    return fuse_grids(grids, fusion, device_for(config, device), progress)
+    return fuse_grids(grids, fusion, inputs.device_for(config, device), progress)
 
 
 def agreement_items(result: FusionResult) -> list[FusedInput]:
@@ -190,7 +181,7 @@ def agreement_items(result: FusionResult) -> list[FusedInput]:
 
 
 def measure_distances(
-    maps: Sequence[MapInput],
+    maps: Sequence[inputs.MapInput],
     distances: str | Path | Sequence[MeasuredDistance],
     config: RunConfig | None = None,
     *,
@@ -209,7 +200,7 @@ def measure_distances(
     rows = load_distances(distances) if isinstance(distances, (str, Path)) else distances
     return tuple(
         compare_distances(grid, rows, config.fusion.normalize)
-        for grid in load_maps(maps, config, resolution=resolution)
+        for grid in inputs.load_maps(maps, config, resolution=resolution)
     )
 
 
@@ -220,10 +211,10 @@ def evaluate_cases(
     *,
     distances: Path | None = None,
     align: bool = True,
-    scale: PixelSizes | None = None,
+    scale: inputs.PixelSizes | None = None,
     resolution: float | None = None,
-    progress: Progress | None = None,
-    warn: Warn = log_warning,
+    progress: inputs.Progress | None = None,
+    warn: inputs.Warn = inputs.log_warning,
 ) -> EvaluatedMaps:
     """Compare maps with the truths of their cases and with measured distances.
 
@@ -234,14 +225,14 @@ def evaluate_cases(
     cases = case_names(truths)
     placed = place_files(cases, maps) if cases else []
     paths = [item.path for item in maps]
-    grids = load_maps(paths, config, resolution=resolution, warn=warn, measured=True)
+    grids = inputs.load_maps(paths, config, resolution=resolution, warn=warn, measured=True)
     if len(cases) > 1:
         grids = [grid.with_name(own.name) for grid, own in zip(grids, placed, strict=True)]
     true_grids = [
-        load_truth(item.path, config, resolution=resolution, scale=scale, warn=warn)
+        inputs.load_truth(item.path, config, resolution=resolution, scale=scale, warn=warn)
         for item in truths
     ]
-    device = device_for(config) if cases else None
+    device = inputs.device_for(config) if cases else None
     found: dict[int, Evaluation] = {}
     for case, truth in zip(cases, true_grids, strict=True):
         rows = [row for row, own in enumerate(placed) if own.case == case]

@@ -8,20 +8,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+from slamfusion import sim
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
 from slamfusion.jobs.inputs import Progress, device_for
 from slamfusion.jobs.records import Settings
 from slamfusion.json_values import FLAT
-from slamfusion.sim import (
-    Course,
-    Recording,
-    load_course,
-    named_course,
-    simulate,
-    with_overrides,
-    write_recording,
-)
 
 SUFFIXES = {".yaml", ".yml"}
 
@@ -60,7 +52,7 @@ class SimulatedWorld:
 class SimulatedDrive:
     """A simulated drive; the document of ``slamfusion simulate``."""
 
-    recording: Recording = field(repr=False)
+    recording: sim.Recording = field(repr=False)
     name: str
     """The course."""
     scans: int
@@ -90,7 +82,7 @@ class SimulatedDrive:
     settings: Settings = field(metadata=FLAT)
 
 
-def choose_course(course: str | Path, config: RunConfig, *, seed: int | None = None) -> Course:
+def choose_course(course: str | Path, config: RunConfig, *, seed: int | None = None) -> sim.Course:
     """Return the course of a name or a YAML file, changed by ``config.simulate``.
 
     Raises:
@@ -98,16 +90,16 @@ def choose_course(course: str | Path, config: RunConfig, *, seed: int | None = N
     """
     path = Path(course)
     if path.suffix.lower() in SUFFIXES or path.is_file():
-        chosen = load_course(path, config.seed)
+        chosen = sim.load_course(path, config.seed)
         if seed is not None:
             chosen = replace(chosen, seed=seed)
     else:
-        chosen = named_course(str(course), config.seed)
-    return with_overrides(chosen, config.simulate)
+        chosen = sim.named_course(str(course), config.seed)
+    return sim.with_overrides(chosen, config.simulate)
 
 
 def simulate_course(
-    course: str | Path | Course,
+    course: str | Path | sim.Course,
     config: RunConfig | None = None,
     device: ComputeDevice | None = None,
     *,
@@ -119,10 +111,10 @@ def simulate_course(
         SimulationError: there is no such course, or it cannot be driven.
     """
     config = config or RunConfig()
-    chosen = course if isinstance(course, Course) else choose_course(course, config)
+    chosen = course if isinstance(course, sim.Course) else choose_course(course, config)
     device = device_for(config, device)
     begun_s = time.perf_counter()
-    made = simulate(chosen, device, progress)
+    made = sim.simulate(chosen, device, progress)
     end = made.truth.pose(-1).inverse().compose(made.odometry().pose(-1))
     grid = made.world.grid
     clear = sum(int(item.scan.is_clear().sum()) for item in made.scans)
@@ -156,4 +148,4 @@ def simulate_course(
 
 def save_simulated_drive(drive: SimulatedDrive, folder: str | Path) -> SimulatedDrive:
     """Write the log, the truth and the course, all or none; return the drive with its files."""
-    return replace(drive, files=write_recording(drive.recording, folder))
+    return replace(drive, files=sim.write_recording(drive.recording, folder))

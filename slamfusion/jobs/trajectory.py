@@ -110,10 +110,16 @@ def measure_trajectories(
     return found, not_measured
 
 
-def trajectories_document(
-    found: Sequence[MeasuredTrajectory], not_measured: Sequence[str], config: RunConfig
-) -> TrajectoriesDocument:
-    """Return what ``slamfusion trajectory`` prints of several paths as JSON."""
+def trajectory_document(
+    found: Sequence[MeasuredTrajectory],
+    not_measured: Sequence[str],
+    config: RunConfig,
+    *,
+    several: bool,
+) -> TrajectoryDocument | TrajectoriesDocument:
+    """Return what ``slamfusion trajectory`` prints as JSON; of several paths with their means."""
+    if not several:
+        return TrajectoryDocument(found[0], Settings(config))
     from slamfusion.jobs.results import summaries  # noqa: PLC0415  (pandas is an extra)
 
     return TrajectoriesDocument(
