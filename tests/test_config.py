@@ -137,8 +137,8 @@ def test_a_part_of_a_section_leaves_the_rest_as_the_whole_has_it():
     """A nested section may have other defaults than its class."""
     graph = GraphConfig()
     assert graph.matcher != MatcherConfig()
-    config = from_mapping(GraphConfig, {"matcher": {"climbers": 9}})
-    assert config.matcher == dataclasses.replace(graph.matcher, climbers=9)
+    config = from_mapping(GraphConfig, {"matcher": {"jump_m": 9.0}})
+    assert config.matcher == dataclasses.replace(graph.matcher, jump_m=9.0)
     assert from_mapping(GraphConfig, {"matcher": None}) == graph
 
 

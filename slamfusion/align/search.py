@@ -45,6 +45,8 @@ DESCENT = ((2304, 256), (384, 768), (96, 1536))
 # Weight of the unexplained evidence, so that a large common ground that fits badly does not
 # outweigh a small good one; smaller on coarse cells, which blur a good fit.
 DOUBT, COARSE_DOUBT = 1.0, 0.5
+# Coarse peaks that are refined.
+CANDIDATES = 24
 # A third as many motions, chosen with doubt among three times the number, descend too; of those
 # that are refined half.
 DOUBTED_OF, DOUBTED_SHARE, DOUBTED_CANDIDATES = 3, 3, 2
@@ -142,8 +144,8 @@ def coarse_search(
     shift, turn = 2.5 * step, 2.5 * scores.yaw_step
     chosen = []
     for values, most in (
-        (leads.found, config.candidates),
-        (leads.doubted, config.candidates // DOUBTED_CANDIDATES),
+        (leads.found, CANDIDATES),
+        (leads.doubted, CANDIDATES // DOUBTED_CANDIDATES),
     ):
         order = np.argsort(-values, kind="stable")
         chosen.append(order[distinct(leads.motions[order], shift, turn, most)])

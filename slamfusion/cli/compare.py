@@ -9,7 +9,7 @@ import click
 
 from slamfusion.cli import options
 from slamfusion.cli.help import Command
-from slamfusion.cli.output import NOTHING, notice, print_json, print_table
+from slamfusion.cli.output import NOTHING, notice, print_facts, print_json, print_table
 from slamfusion.cli.paths import FILE
 from slamfusion.cli.results import print_by_case, table_option
 from slamfusion.jobs.documents import number, p_text
@@ -56,8 +56,10 @@ def command(files: tuple[Path, ...], plot_path: Path | None, as_json: bool) -> i
         notice(sentence)
     if as_json:
         print_json(found)
-    else:
-        print_comparison(found)
+        return 0
+    print_comparison(found)
+    if plot_path is not None:
+        print_facts(("plot", plot_path))
     return 0
 
 
@@ -86,8 +88,8 @@ def _print_figures(found: ComparedResults) -> None:
             figure_of(item["figure"]).label,
             *([item["first"], item["second"]] if has_names else []),
             *_numbers(item["mean_first"], item["mean_second"], item["difference"]),
-            p_text(item["p_holm"]),
             item["better"] or NOTHING,
+            p_text(item["p_holm"]),
             _interval(item),
             p_text(item["p_rank"]),
             *_numbers(item["std_first"], item["std_second"]),
@@ -102,7 +104,7 @@ def _print_figures(found: ComparedResults) -> None:
     names = ("first ", "second ") if has_names else ()
     means = ("mean first", "mean second", "difference")
     corrected = ", Holm" if has_names else ""
-    columns = ("figure ", *names, *means, tests[1] + corrected, "better ")
+    columns = ("figure ", *names, *means, "better ", tests[1] + corrected)
     columns = (*columns, "95 % interval" + corrected, tests[2])
     title = f"{found.results[0].name} (first) and {found.results[1].name} (second)"
     if has_names:

@@ -10,12 +10,21 @@ import click
 
 from slamfusion.cli import options, results, tables
 from slamfusion.cli.help import Command
-from slamfusion.cli.output import NOTHING, is_verbose, notice, print_json, print_table, progress_bar
+from slamfusion.cli.output import (
+    NOTHING,
+    is_verbose,
+    notice,
+    print_facts,
+    print_json,
+    print_table,
+    progress_bar,
+)
 from slamfusion.cli.paths import CASE_MAP
 from slamfusion.config import RunConfig
 from slamfusion.jobs.cases import CaseFile, case_names, place_files
 from slamfusion.jobs.documents import number
 from slamfusion.jobs.inputs import PixelSizes, device_for, distinct_names, load_maps, map_file
+from slamfusion.jobs.outputs import PAGE
 
 if TYPE_CHECKING:
     from slamfusion.evaluation.distances import DistanceComparison
@@ -129,7 +138,8 @@ def command(
             align=align, scale=scale, resolution=resolution, progress=progress, warn=notice,
         )  # fmt: skip
     given = {"maps": maps, "truths": truths}
-    found.write(report_dir, [] if image_path is None else _image_files(image_path, given))
+    images = [] if image_path is None else _image_files(image_path, given)
+    found.write(report_dir, images)
     evaluations = [item.evaluation for item in found.maps]
     tables.tell_unaligned(evaluations)
     rows = found.rows()
@@ -149,6 +159,8 @@ def command(
         results.print_repetitions(rows, "map")
     for comparison in found.distances:
         _print_distances(comparison)
+    pages = [] if report_dir is None else [own / PAGE for own in _report_folders(report_dir, given)]
+    print_facts(*(("report", page) for page in pages), *(("image", image) for image in images))
     return 0
 
 

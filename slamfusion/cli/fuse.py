@@ -159,7 +159,7 @@ def command(
             circumstances = Circumstances(config, device.name)
             given = GivenMaps.of(maps, resolution)
             output.print_json(FuseDocument.failed(error, circumstances, given))
-        else:
+        elif error.pairs:
             tables.print_pairs(error.pairs, device.name)
         raise
     stem = stem_of(out, {".yaml", ".yml", STORE_END})

@@ -10,7 +10,7 @@ import click
 
 from slamfusion.cli import options
 from slamfusion.cli.help import Group
-from slamfusion.cli.output import notice, print_json, print_table
+from slamfusion.cli.output import notice, print_facts, print_json, print_table
 from slamfusion.cli.paths import FILE
 from slamfusion.config import RunConfig
 from slamfusion.jobs.documents import number
@@ -57,7 +57,7 @@ def optimize_command(
         words = _first_few(f"{count} {kind[:40]}" for kind, count in kinds)
         notice(f"{path}: lines not understood: {words}")
     if not graph.converged:
-        notice(f"{path}: not converged; raise graph_optimizer.max_iterations")
+        notice(f"{path}: not converged; try another --start")
     graph = save_optimized_graph(graph, out, tum=tum_path)
     if as_json:
         print_json(graph)
@@ -82,6 +82,7 @@ def optimize_command(
         ["time", f"{number(graph.time_s)} s"],
     ]
     print_table((" ", " "), rows, title=path.name, header=False)
+    print_facts(*((what, file) for what, file in (("graph", out), ("poses", tum_path)) if file))
     return 0
 
 

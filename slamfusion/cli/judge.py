@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,8 +18,10 @@ from slamfusion.errors import SlamFusionError
 from slamfusion.jobs.cases import CaseFile, case_names, known_files, measured_inputs, place_files
 from slamfusion.jobs.documents import number
 from slamfusion.jobs.inputs import device_for
+from slamfusion.jobs.outputs import PAGE
 
 if TYPE_CHECKING:
+    from slamfusion.evaluation.measured import Row
     from slamfusion.jobs.judge import JudgedPaths
 
 
@@ -141,13 +143,9 @@ def command(
     results.save_results(results_path, document, rows, lambda: measured_inputs(placed, known))
     if as_json:
         output.print_json(document)
-    elif several:
-        results.print_items(rows, "path", ("consistency", "ate_rmse_m", "relations_mean_m"))
-        for case, own in found.items():
-            print(f"{case}: {own.recommendation.headline}")
     else:
-        _print(first)
-        results.print_repetitions(rows, "path")
+        given = {"log": log, "more_logs": more_logs}
+        _print(found, rows, [] if report_dir is None else _report_folders(report_dir, given))
     not_measured = [
         f"{case}: {sentence}" if several else sentence
         for case, own in found.items()
@@ -158,7 +156,18 @@ def command(
     return 0
 
 
-def _print(found: JudgedPaths) -> None:
+def _print(found: Mapping[str, JudgedPaths], rows: Sequence[Row], reports: Sequence[Path]) -> None:
+    if len(found) > 1:
+        results.print_items(rows, "path", ("consistency", "ate_rmse_m", "relations_mean_m"))
+        for case, own in found.items():
+            print(f"{case}: {own.recommendation.headline}")
+    else:
+        _print_one(*found.values())
+        results.print_repetitions(rows, "path")
+    output.print_facts(*(("report", folder / PAGE) for folder in reports))
+
+
+def _print_one(found: JudgedPaths) -> None:
     from slamfusion.jobs.judge import errors_m  # noqa: PLC0415
 
     answer = found.recommendation

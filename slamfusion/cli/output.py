@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 LEAST_WIDTH = 40
 # Without a terminal a line reports the progress of a long stage this often, seconds.
 TOLD_EVERY_S = 10.0
+# Share of a stage that must be done before it says how much is done and how long the rest takes.
+LEAST_SHARE = 0.02
 # A stage with up to this many steps shows their number, too: pairs, maps, logs.
 MOST_COUNTED = 500
 
@@ -178,9 +180,11 @@ def _lines() -> Progress:
         if now_s - told_s < TOLD_EVERY_S:
             return
         told_s = now_s
-        share = f"{100 * done // max(total, 1):.0f} %, " if done else ""
-        left = f", about {taken_s * (total - done) / done:.0f} s left" if 0 < done < total else ""
-        notice(f"{stage}: {share}{taken_s:.0f} s{left}")
+        share = done / max(total, 1)
+        shown = f"{100 * share:.0f} %, " if share >= LEAST_SHARE else ""
+        is_known = LEAST_SHARE <= share < 1.0
+        left = f", about {taken_s * (1.0 / share - 1.0):.0f} s left" if is_known else ""
+        notice(f"{stage}: {shown}{taken_s:.0f} s{left}")
 
     return report
 

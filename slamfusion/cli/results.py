@@ -11,7 +11,15 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from slamfusion.cli import options
-from slamfusion.cli.output import NOTHING, Settings, Table, notice, one_line, print_table
+from slamfusion.cli.output import (
+    NOTHING,
+    Settings,
+    Table,
+    notice,
+    one_line,
+    print_facts,
+    print_table,
+)
 from slamfusion.jobs.documents import number, spread
 
 if TYPE_CHECKING:
@@ -56,14 +64,17 @@ def save_results(
     from slamfusion.json_values import plain  # noqa: PLC0415
 
     context = click.get_current_context()
+    settings = context.ensure_object(Settings)
     write_results_file(
         path,
         command=" ".join(context.command_path.split()[1:]),
-        arguments=context.ensure_object(Settings).arguments,
+        arguments=settings.arguments,
         document=plain(document),
         rows=rows,
         inputs=inputs(),
     )
+    if not settings.as_json:
+        context.call_on_close(lambda: print_facts(("results", path)))  # below the tables
 
 
 def print_items(rows: Sequence[Row], what: str, leading: Sequence[str]) -> None:
@@ -185,7 +196,8 @@ def table_option(function: F) -> F:
         try:
             return function(*arguments, **given)
         finally:
-            _write(table_path, settings.tables)
+            written = _write(table_path, settings.tables)
+            print_facts(*(("" if n else "tables", file) for n, file in enumerate(written)))
 
     return option(wrapper)  # type: ignore[return-value]
 
@@ -196,18 +208,21 @@ def _files(path: Path, _: Mapping[str, Any]) -> list[Path]:
     return [path, *(item for item in path.parent.glob("*") if numbered.fullmatch(item.name))]
 
 
-def _write(path: Path, tables: list[Table]) -> None:
-    """Write all files or none: of CSV one a table, of the others one in all."""
+def _write(path: Path, tables: list[Table]) -> list[Path]:
+    """Write all files or none, and return them: of CSV one a table, of the others one in all."""
     from slamfusion.io import AtomicFiles  # noqa: PLC0415  (OpenCV loads slowly; --help needs none)
 
     form = path.suffix.lower()
     texts = [_text(table, form) for table in tables]
     if form != ".csv" and tables:
         texts = ["\n".join(texts)]
+    numbers = range(2, 1 + len(texts))
+    names = [path, *(path.with_name(f"{path.stem}-{number}{path.suffix}") for number in numbers)]
+    written = names[: len(texts)]
     with AtomicFiles() as files:
-        for number, text in enumerate(texts, start=1):
-            name = path if number == 1 else path.with_name(f"{path.stem}-{number}{path.suffix}")
+        for name, text in zip(written, texts, strict=True):
             files.add(name, text.encode())
+    return written
 
 
 def _text(table: Table, form: str) -> str:

@@ -16,6 +16,7 @@ from slamfusion.cli.help import Command
 from slamfusion.cli.paths import CASE_FILE, FILE, MAP
 from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
+from slamfusion.jobs.cases import case_of
 from slamfusion.jobs.documents import number
 from slamfusion.jobs.inputs import RUN_DEFAULTS
 from slamfusion.jobs.outputs import FAILED, FUSED, PAGE, REPORT, possible_outputs, possible_report
@@ -201,7 +202,7 @@ def command(
             )
             progress(REPORT, 0, 1)
             run = save_run(run, out, probabilities=probabilities)
-    rows = run_rows(run, logs[0].stem) if results_path is not None else []
+    rows = run_rows(run, case_of(logs[0])) if results_path is not None else []
     results.save_results(results_path, run, rows, lambda: _inputs(logs, asked))
     _print(run, as_json=as_json)
     if is_opened:
@@ -344,7 +345,7 @@ def _refuse_files_of_one_log(config: RunConfig, asked: Mapping[str, Any]) -> Non
 
 def _inputs(logs: Sequence[Path], asked: Mapping[str, Any]) -> list[tuple[str, str, Path]]:
     kinds = {name: option for name, option in OF_ONE_LOG.items() if name != "saved_paths"}
-    return [("log", log.stem, log) for log in logs] + [
+    return [("log", case_of(log), log) for log in logs] + [
         (option.removeprefix("--").replace("-", " "), "", asked[name])
         for name, option in kinds.items()
         if asked[name] is not None

@@ -16,6 +16,7 @@ from slamfusion.cli.paths import FILE, MAP, stem_of
 from slamfusion.cli.results import print_items, table_option
 from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
+from slamfusion.jobs.cases import case_of
 from slamfusion.jobs.outputs import PAGE, SUFFIXES, output_files
 
 if TYPE_CHECKING:
@@ -180,7 +181,7 @@ def _run_seeds(
             figures = result.measures.figures()
             figures["time_per_scan_ms"] = result.run.time_per_scan_ms()["mean"]
             errors = {} if result.map_error is None else map_figures(result.map_error)
-            rows += result_rows(log.stem, str(seed), name, {**figures, **errors})
+            rows += result_rows(case_of(log), str(seed), name, {**figures, **errors})
             if mapped.failure is not None:
                 raise SlamFusionError(f"seed {seed}: {mapped.failure}") from mapped.failure
     if as_json:

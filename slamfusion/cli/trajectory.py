@@ -9,7 +9,7 @@ import click
 
 from slamfusion.cli import options, results
 from slamfusion.cli.help import Command
-from slamfusion.cli.output import notice, print_json
+from slamfusion.cli.output import notice, print_facts, print_json
 from slamfusion.cli.paths import CASE_FILE, MAP
 from slamfusion.cli.tables import print_measures
 from slamfusion.config import RunConfig
@@ -120,8 +120,7 @@ def command(
     if map_path is not None:
         (grid,) = load_maps([map_path], config, warn=notice)
         found = [replace(own, grid=grid) for own in found]
-    if report_dir is not None:
-        write_trajectories(found, report_dir, config)
+    page = None if report_dir is None else write_trajectories(found, report_dir, config)
     rows = [row for own in found for row in own.rows()]
     document = trajectory_document(found, not_measured, config, several=not is_one)
     inputs = [own.placed for own in found]
@@ -132,6 +131,8 @@ def command(
         print_measures(found[0].trajectory, found[0].measures)
     else:
         results.print_items(rows, "path", ("ate_rmse_m", "relations_mean_m"))
+    if page is not None and not as_json:
+        print_facts(("report", page))
     if not_measured:
         raise SlamFusionError("; ".join(not_measured))
     return 0

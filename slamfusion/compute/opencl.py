@@ -38,7 +38,7 @@ def kernel_folder() -> Path:
     for folder in (package / "kernels", package.parent / "kernels"):
         if (folder / "common.h").is_file():
             return folder
-    message = f"no kernel sources in {package / 'kernels'} or beside it; reinstall slamfusion"
+    message = f"no kernel sources in {package / 'kernels'} or next to it; reinstall slamfusion"
     raise DeviceError(message)
 
 

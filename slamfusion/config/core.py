@@ -9,7 +9,7 @@ import types
 import typing
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Literal, Protocol, TypeVar, Union, overload, runtime_checkable
+from typing import Any, Literal, Protocol, TypeVar, Union, overload, runtime_checkable
 
 from slamfusion.errors import ConfigError, shown
 
@@ -34,7 +34,6 @@ _UNITS = {
     "_rad_s": "rad/s",
     "_deg_s": "deg/s",
     "_rad_m": "rad/m",
-    "_mps2": "m/s^2",
     "_mps": "m/s",
     "_hz": "Hz",
     "_percent": "%",
@@ -52,7 +51,7 @@ def option(
     unit: str = "",
     low: float | None = None,
     high: float | None = None,
-    level: Literal["", "public", "expert"] = "",
+    level: Literal["public", "expert"] = "public",
     flag: str = "",
 ) -> Any:
     """Declare a configuration field with its description and inclusive range.
@@ -60,7 +59,7 @@ def option(
     Args:
         unit: default: by the end of the name, e.g. ``_m``.
         low, high: default: open; 0 to 1 for a name that ends in ``_share``.
-        level: default: that of the class.
+        level: expert fields are read from files alone.
         flag: its option on the command line, if it is not the field's name.
     """
     metadata = {"help": text, "unit": unit, "low": low, "high": high, "level": level, "flag": flag}
@@ -114,7 +113,6 @@ def field_infos(config_class: type[Any]) -> tuple[FieldInfo, ...]:
             "unit": "" if "_per_" in item.name else unit,
             "low": 0.0 if item.name.endswith("_share") else None,
             "high": 1.0 if item.name.endswith("_share") else None,
-            "level": config_class.LEVEL,
             "flag": "",
         }
         form = _form(hints[item.name])
@@ -165,8 +163,6 @@ def _check_value(where: str, info: FieldInfo, value: Any) -> None:
 
 class Checked:
     """Checks every field against its declared range and choices after construction."""
-
-    LEVEL: ClassVar[str] = "public"
 
     def __post_init__(self) -> None:
         for info in field_infos(type(self)):

@@ -60,12 +60,11 @@ class AlignConfig(Checked):
     )
     shared_frame: bool = option(
         False,
-        "the maps share their start frame: of equally good answers believe one near the identity",
+        "the maps share their start frame: of equally good answers prefer one near the identity",
     )
     coarse_cells: int = option(
         60, "cells on the longest side of the coarsest grid", low=16, high=512, level="expert"
     )
-    candidates: int = option(24, "coarse peaks that are refined", low=1, high=64, level="expert")
 
 
 @dataclass(frozen=True)
@@ -96,8 +95,8 @@ class FusionConfig(Checked):
     vote: VoteConfig = VoteConfig()
     reference: str | None = option(
         None,
-        "name or index (from 0) of the map in whose frame the result is, or smallest, the one with "
-        "the smallest known box; default: the first that fits, live the smallest",
+        "reference map: a name, an index from 0, or smallest (the smallest known box); default: "
+        "the first that fits, live the smallest",
     )
     require_all: bool = option(False, "fail when any input is rejected")
     keep_duplicates: bool = option(
@@ -116,7 +115,7 @@ class LiveConfig(Checked):
         high=32,
     )
     stale_after_s: float = option(
-        30.0, "an input whose last map is older than another's by more votes no more", low=0.1
+        30.0, "an input does not vote if its last map is older than another's by more", low=0.1
     )
     extent: Literal["reference", "union"] = option(
         "union", "fused cells: those of the reference, or of all inputs that ever voted"
@@ -126,9 +125,7 @@ class LiveConfig(Checked):
         "an input is searched again when it explains less than this share of the common walls that "
         "it explained when it was searched",
     )
-    search_pause_s: float = option(
-        2.0, "full searches of one input are at least this far apart", low=0.0
-    )
+    search_pause_s: float = option(2.0, "least time between full searches of one input", low=0.0)
     jump_m: float = option(
         0.5,
         "a transform that moves an input's centre this far must be found twice in a row",
@@ -139,37 +136,6 @@ class LiveConfig(Checked):
         "a map that jumped and has not changed since is searched again after this time, or after "
         "its second message, in another way; it is accepted if that finds the same",
         low=0.0,
-        level="expert",
-    )
-    pose_apart_m: float = option(
-        1.0,
-        "poses of one robot farther apart than this contradict each other; see pose_apart_s",
-        low=0.0,
-        level="expert",
-    )
-    pose_apart_rad: float = option(
-        0.35, "the same for a turn", low=0.0, high=math.pi, level="expert"
-    )
-    pose_apart_s: float = option(
-        3.0,
-        "for this long poses must be apart to take a vote, and together to give it back",
-        low=0.0,
-        level="expert",
-    )
-    hold_cells: float = option(
-        0.6,
-        "a transform that moves every corner of an input by less is left as it was",
-        unit="cells",
-        low=0.0,
-        high=10.0,
-        level="expert",
-    )
-    track_cells: int = option(
-        2_000_000,
-        "cells aligned again while a new map waits to be fused; what is larger, or comes on top of "
-        "these, waits for a pause",
-        unit="cells",
-        low=1,
         level="expert",
     )
 

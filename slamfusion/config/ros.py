@@ -60,8 +60,8 @@ class ScanNodeConfig(NodeConfig):
     sweep_s: float | None = sweep_option()
     reset_back_s: float = option(
         1.0,
-        "several scans in a row that are older than the last one by more begin a new map; a single "
-        "one, or one that is older by less, is left out",
+        "several scans in a row that are older than the last one by more start a new map; other "
+        "older scans are dropped",
         low=0.0,
         high=1e6,
     )
@@ -85,9 +85,6 @@ class ProducerNodeConfig(ScanNodeConfig):
         low=0.0,
         high=1e6,
     )
-    path_poses: int = option(
-        2000, "the published path has at most this many poses", low=2, high=1_000_000
-    )
     publish_tf: bool = option(
         False,
         "send the transform from the map's frame to odom_frame (to base_frame without odometry); "
@@ -108,14 +105,12 @@ class FusionNodeConfig(ScanNodeConfig):
         None,
         "map topics (nav_msgs/OccupancyGrid) that fit this become inputs as they appear, named by "
         "their namespace: */map, or several with commas; * stands for one word between slashes, ** "
-        "for any number; default: none is looked for",
+        "for any number; default: none",
     )
     discovery_rate_hz: float = option(
         0.5, "new map topics are looked for this often", low=0.001, high=10.0
     )
-    max_publish_rate_hz: float = option(
-        5.0, "the fused map is published at most so often", low=0.001, high=1000.0
-    )
+    max_publish_rate_hz: float = option(5.0, "greatest rate of fused maps", low=0.001, high=1000.0)
     publish_tf: bool = option(
         False,
         "send the transform from fused_frame to odom_frame, by the pose of the healthiest input "
@@ -123,19 +118,19 @@ class FusionNodeConfig(ScanNodeConfig):
     )
     correction_speed: float = option(
         0.2,
-        "the transform to odom_frame moves a robot that it corrects at most this fast; more than "
-        "its odometry drifts, less than its controller can follow",
+        "greatest speed at which the transform to odom_frame corrects the robot; above the drift "
+        "of its odometry, below what its controller can follow",
         unit="m/s",
         low=1e-3,
         high=1e3,
     )
     correction_turn: float = option(
-        0.2, "and turns it at most this fast", unit="rad/s", low=1e-3, high=1e3
+        0.2, "greatest turning rate of these corrections", unit="rad/s", low=1e-3, high=1e3
     )
     draw: bool = option(
         True,
-        "where scans and poses of the inputs are heard, the fused map is drawn from the scans at "
-        "the fused path; maps without poses vote next to it",
+        "if scans and poses of the inputs arrive, draw the fused map from the scans at the fused "
+        "path; maps without poses vote with it",
     )
     on_new_place: Literal["ask", "reset", "keep"] = option(
         "ask",
@@ -144,18 +139,18 @@ class FusionNodeConfig(ScanNodeConfig):
     )
     save_path: str = option(
         "fused_map",
-        "save_map writes this path with .yaml and .pgm; a change leads nowhere but into the folder "
-        "that the node was started with",
+        "save_map writes this path with .yaml and .pgm; it must stay in the folder that the node "
+        "was started with",
     )
     state_path: str | None = option(
         None,
-        "file that keeps fused frame, transforms and last map, so that a restart goes on with "
-        "them; default: nothing is kept",
+        "file that keeps fused frame, transforms and last map over a restart; default: nothing "
+        "is kept",
     )
     lost_after_s: float = option(
         3.0,
-        "an input whose process shows no sign of life, or that no node publishes, for this long is "
-        "lost",
+        "an input is lost if its process shows no sign of life, or no node publishes it, for "
+        "this long",
         low=0.1,
         high=1e6,
     )
@@ -164,8 +159,7 @@ class FusionNodeConfig(ScanNodeConfig):
     )
     page_host: str = option(
         "127.0.0.1",
-        "the page is served on this address; another one than this machine's own lets everybody "
-        "on the network look",
+        "address of the page; with any but this machine's own, everyone on the network can look",
     )
     page_port: int = option(
         8642, "the page is served on this port; 0: any that is free", low=0, high=65535
@@ -193,7 +187,7 @@ class PlayerNodeConfig(NodeConfig):
 
     file: str | None = option(None, "the log or bag")
     rate: float = option(1.0, "times as fast as it was recorded", low=1e-3, high=1e4)
-    loop: bool = option(False, "begin again at the end; time jumps back")
+    loop: bool = option(False, "restart at the end; time jumps back")
     lockstep: bool = option(
         False, "send the next scan when every producer of wait_for has published its last pose"
     )
@@ -212,10 +206,4 @@ class PlayerNodeConfig(NodeConfig):
     publish_clock: bool = option(True, "send the log's time on /clock, for use_sim_time")
     save: str | None = option(
         None, "folder: after the last scan the newest map of every topic in `maps` is written here"
-    )
-    save_timeout_s: float = option(
-        20.0,
-        "wait this long for the maps that hold the last scan, then write what came",
-        low=0.0,
-        high=1e6,
     )

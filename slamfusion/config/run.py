@@ -50,16 +50,6 @@ class GraphOptimizerConfig(Checked):
         "best",
         "start from the file's poses, the odometry, the chordal relaxation, or the best of them",
     )
-    max_iterations: int = option(
-        100, "steps of a descent at most", low=1, high=100_000, level="expert"
-    )
-    tolerance: float = option(
-        1e-5,
-        "a descent ends after a step that promises to lower chi-square by a smaller share",
-        low=0.0,
-        high=0.1,
-        level="expert",
-    )
 
 
 @dataclass(frozen=True)
@@ -227,7 +217,7 @@ def sweep_option() -> Any:
     return option(
         None,
         "time from the first to the last beam of a sweep; default: by the time_increment of the "
-        "scans, where that can be",
+        "scans, if plausible",
         unit="s",
         low=-10.0,
         high=10.0,
@@ -279,20 +269,20 @@ class TrajectoryConfig(Checked):
     tolerance_s: float = option(0.01, "poses this near in time belong together", low=0.0)
     pose_topic: str | None = option(
         None,
-        "of a bag given as the truth, a topic of PoseStamped, PoseWithCovarianceStamped or "
+        "for a bag given as the truth: a topic of PoseStamped, PoseWithCovarianceStamped or "
         "Odometry, or tf; default: the odometry of its scans, or its only such topic",
     )
     time_offset: str = option(
         "0",
-        "seconds to add to the times of the truth, and of paths given for a log, whose clock is "
-        "another; auto finds it by the motion",
+        "seconds to add to the times of the truth and of paths given for a log, if their clock "
+        "differs; auto finds them by the motion",
     )
     alignment: Literal["se2", "none"] = option(
         "se2",
-        "bring the estimate onto the truth by a rigid motion first, or take both frames for one",
+        "align the estimate with the truth by a rigid motion first, or use both frames as they are",
     )
     rpe_delta: float = option(
-        1.0, "what one pair of poses of the relative error spans, in --rpe-unit", low=1e-3
+        1.0, "distance between the two poses of a relative error, in --rpe-unit", low=1e-3
     )
     rpe_unit: Literal["frames", "m", "s"] = option(
         "frames", "matched poses, metres along the truth, or seconds"
@@ -317,20 +307,13 @@ class SideBySideConfig(Checked):
         (), "which producers run, with commas; default: those that are built in"
     )
     processes: int | None = option(
-        None, "producers at work at once; default: as many as there are cores", low=1, high=64
+        None, "producers that run at once; default: one for each core", low=1, high=64
     )
     time_limit_s: float | None = option(
         None, "stop a producer that takes longer and leave it out", low=0.1, high=1e7
     )
     draw: bool = option(
         False, "also draw a map from all scans at the fused path, in addition to the vote"
-    )
-    path_gap_m: float = option(
-        1.0,
-        "leave out a producer whose path, laid into the fused map, is this far from the others'",
-        low=0.05,
-        high=100.0,
-        level="expert",
     )
 
 

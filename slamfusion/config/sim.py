@@ -92,9 +92,7 @@ class DriveConfig(Checked):
     radius_m: float = option(0.2, "disc that holds the robot; keeps off walls", low=0.01, high=5.0)
     speed_mps: float = option(0.6, "speed on a free way", low=0.01, high=10.0)
     turn_rate_rad_s: float = option(1.0, "turning speed at most", low=0.01, high=10.0)
-    acceleration_mps2: float = option(0.8, "change of speed at most", low=0.01, high=100.0)
     wheelbase_m: float = option(0.3, "bicycle: between the axles", low=0.05, high=5.0)
-    steer_max_rad: float = option(0.6, "bicycle: steering angle at most", low=0.05, high=1.4)
     track_m: float = option(0.4, "tracks: between left and right", low=0.05, high=5.0)
     slip_left: float = option(
         0.0, "tracks: share of the left track's motion that is lost", low=0.0, high=0.9
@@ -156,9 +154,6 @@ class PersonConfig(Checked):
     waypoints: tuple[tuple[float, float], ...] = ()
     speed_mps: float = option(1.0, "walking speed", low=0.05, high=5.0)
     body: Literal["legs", "disc"] = option("legs", "what the laser meets: two legs, or one body")
-    distance_m: float = option(
-        0.7, "stands still rather than come this near to the robot", low=0.0, high=10.0
-    )
 
 
 @dataclass(frozen=True)

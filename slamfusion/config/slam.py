@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
-from typing import Any, ClassVar, Literal, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 from slamfusion.config.core import Checked, option
 
@@ -16,30 +16,16 @@ OccupancyEstimator: TypeAlias = Literal["constant", "area"]
 class MatcherConfig(Checked):
     """The search for the pose at which a scan fits the map, from where the robot may have gone."""
 
-    LEVEL: ClassVar[str] = "expert"
-
-    beams: int = option(120, "hits of a scan that the matcher looks at", low=8, high=4096)
-    first_poses: int = option(
-        256, "poses drawn in the matcher's first, wide look", low=16, high=65536
+    beams: int = option(
+        120, "hits of a scan that the matcher looks at", low=8, high=4096, level="expert"
     )
-    climbers: int = option(6, "poses of the first look from where a climb starts", low=1, high=64)
-    rounds: int = option(4, "rounds of a climb, 16 steps tried each", low=1, high=32)
-    sigma_m: float = option(0.1, "spread of the first look", low=0.001, high=10.0)
-    sigma_m_per_m: float = option(0.15, "the same for each metre of odometry", low=0.0, high=10.0)
-    sigma_rad: float = option(0.05, "spread of the first look", low=0.001, high=3.2)
-    sigma_rad_per_rad: float = option(
-        0.2, "the same for each radian of odometry", low=0.0, high=10.0
-    )
-    prior_weight_xy: float = option(
-        0.04, "score lost one spread from the guessed place", low=0.0, high=1.0
-    )
-    prior_weight_yaw: float = option(0.005, "the same for the guessed heading", low=0.0, high=1.0)
     jump_m: float = option(
         5.0,
         "a longer step of the odometry between two scans is a reset and rejected; more for a "
         "robot that is fast or scans seldom",
         low=0.01,
         high=10_000.0,
+        level="expert",
     )
 
 
@@ -51,28 +37,18 @@ class TinySlamConfig(Checked):
     resolution: float = option(0.05, "cell size of the map", unit="m", low=0.005, high=1.0)
     cell_model: CellModel = option("mean", "how a cell joins its observations")
     occupancy_estimator: OccupancyEstimator = option(
-        "constant",
-        "what a hit says of its cell: always the same, or the area behind the beam's normal",
+        "constant", "occupancy of a hit's cell: constant, or by the area behind the beam's normal"
     )
     hole_width_m: float = option(
         0.6, "width of the valley around a hit that the matcher sees", low=0.0, high=5.0
     )
     quality: float | None = option(
         None,
-        "how much of an observation a cell believes; default: 1 for mean, 0.3 for base",
+        "weight of an observation in a cell; default: 1 for mean, 0.3 for base",
         low=0.01,
         high=1.0,
     )
-    quality_moved: float = option(
-        0.5,
-        "the quality is multiplied by this where the matcher moved the pose far",
-        low=0.0,
-        high=1.0,
-    )
     usable_range_m: float = option(30.0, "longer readings are not used", low=0.1, high=1000.0)
-    occupied_share: float = option(
-        0.3, "a cell whose mean value reaches this is published as occupied", low=0.05, high=0.95
-    )
 
 
 # What a field of ``GmappingConfig`` that is left open becomes.
@@ -137,7 +113,8 @@ class GmappingConfig(Checked):
 
     matcher: MatcherConfig = MatcherConfig()
     profile: Literal["published", "own"] = option(
-        "own", "values of what is left open: our own defaults, or those published with gmapping"
+        "own",
+        "values of parameters that are not set: our own defaults, or those published with gmapping",
     )
     particles: int | None = option(None, "particles", low=1, high=10_000)
     delta: float | None = option(None, "cell size of the map", unit="m", low=0.005, high=1.0)
@@ -167,7 +144,7 @@ class GmappingConfig(Checked):
     str: float | None = option(None, "odometry: metres of error for a radian", low=0.0, high=10.0)
     stt: float | None = option(None, "odometry: radians of error for a radian", low=0.0, high=10.0)
     linearUpdate: float | None = option(
-        None, "weigh and map after this way", unit="m", low=0.0, high=100.0
+        None, "weigh and map after this distance", unit="m", low=0.0, high=100.0
     )
     angularUpdate: float | None = option(
         None, "weigh and map after this turn", unit="rad", low=0.0, high=10.0
@@ -269,7 +246,7 @@ class GraphConfig(Checked):
     matcher: MatcherConfig = MatcherConfig(beams=400)
     resolution: float = option(0.05, "cell size of the maps", unit="m", low=0.005, high=1.0)
     minimum_travel_distance: float = option(
-        0.3, "a scan becomes a node after this way", unit="m", low=0.0, high=100.0
+        0.3, "a scan becomes a node after this distance", unit="m", low=0.0, high=100.0
     )
     minimum_travel_heading: float = option(
         0.2, "a scan becomes a node after this turn", unit="rad", low=0.0, high=10.0
@@ -282,7 +259,11 @@ class GraphConfig(Checked):
     )
     do_loop_closing: bool = option(True, "look for places where the robot has been before")
     loop_search_maximum_distance: float = option(
-        4.0, "a closure is looked for with submaps this near", unit="m", low=0.0, high=1000.0
+        4.0,
+        "submaps within this distance are searched for closures",
+        unit="m",
+        low=0.0,
+        high=1000.0,
     )
     loop_search_space_dimension: float = option(
         8.0,
@@ -291,18 +272,15 @@ class GraphConfig(Checked):
         low=0.1,
         high=200.0,
     )
-    coarse_search_angle_offset: float = option(
-        0.349, "half the angle of that window", unit="rad", low=0.01, high=3.2
-    )
     loop_match_minimum_chain_size: int = option(
-        6, "a submap of fewer nodes closes no loop", low=1, high=10_000
+        6, "submaps with fewer nodes are not searched for closures", low=1, high=10_000
     )
     loop_match_minimum_response: float = option(
         0.5, "least mean wall value under the hits of a closure", low=0.0, high=1.0
     )
     loop_match_maximum_variance: float = option(
         0.04,
-        "a closure that leaves the place open by more is none",
+        "a closure with a greater variance of the place is rejected",
         unit="m^2",
         low=1e-6,
         high=100.0,

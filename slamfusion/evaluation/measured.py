@@ -256,7 +256,7 @@ class PathErrors:
             notes.append(
                 f"both ends are poses of the trajectory in {scans.relations_used} of "
                 f"{scans.relations_total} relations; the mean of their translation errors is "
-                f"{low:.4f} to {high:.4f} m with 95 %"
+                f"{low:.4f} to {high:.4f} m with 95 % confidence"
             )
         if (truth := self.truth) is not None:
             aligned = "aligned" if truth.alignment.kind == "se2" else "not aligned"

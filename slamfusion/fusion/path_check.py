@@ -40,6 +40,8 @@ from slamfusion.trajectory import Trajectory
 BETWEEN_S, BESIDE_S = 2.0, 0.1
 # Without such times, poses up to this far apart in time are compared.
 TOGETHER_S = 1.0
+# A producer is left out if its path, in the fused map, is farther than this from the others'.
+PATH_GAP_M = 1.0
 # A SLAM that is lost on its way agrees with the others before: it is this many limits away for a
 # quarter of the time, and the others are not.
 LOST_LIMITS = 3.0

@@ -189,8 +189,8 @@ def _copies(
     copies = find_copies(grids, {name for name in known if name is not None})
     if copies and len(grids) - len(copies) < LEAST_FUSED:
         raise AlignmentError(
-            f"{', '.join(names)} are one map, given {len(grids)} times: nothing bears it out, so "
-            "nothing is fused; keep_duplicates counts each as a voter"
+            f"{', '.join(names)} are the same map, and a vote needs two different ones; "
+            "--keep-duplicates counts each copy"
         )
     return copies
 

@@ -83,10 +83,11 @@ def packed_by_name(path: Path, data: bytes) -> bytes:
     return packed.getvalue()
 
 
-def _unpacked(raw: Any) -> io.BufferedReader:
+def _unpacked(raw: Any) -> io.BufferedReader | gzip.GzipFile:
     raw.seek(0)
     magic = raw.read(len(GZIP_MAGIC))
     raw.seek(0)
     if magic != GZIP_MAGIC:
         return io.BufferedReader(raw, _BUFFER_BYTES)
-    return io.BufferedReader(gzip.GzipFile(fileobj=raw, mode="rb"), _BUFFER_BYTES)
+    # Not within another reader, which would lose what was unpacked before the file ends early.
+    return gzip.GzipFile(fileobj=raw, mode="rb")

@@ -345,6 +345,9 @@ def load_map(
 
         cells, resolution, corner = read_dxf(path, resolution)
         return OccupancyGrid(cells, resolution, Pose2(*corner), name or stem)
+    kind = _NO_MAPS.get(Path(path.name.lower().removesuffix(".gz")).suffix)
+    if kind is not None:
+        raise MapFileError(f"{path}: wanted a map's YAML or picture, found {kind}")
     if looks_like_image(path):
         if resolution is None:
             raise MapFileError(
@@ -369,7 +372,7 @@ def load_map(
     if entry.named is not None:
         warn(
             f"{path}: its picture {entry.named!r} is not there; read instead: {entry.image.name} "
-            "beside the YAML"
+            "next to the YAML"
         )
     if count and not legacy_unknown:
         has_alpha = pixels.shape[2:] == (4,)
@@ -421,9 +424,6 @@ class MapFile:
 
 def read_map_yaml(path: Path) -> MapFile:
     """Read and check a map's YAML."""
-    kind = _NO_MAPS.get(path.suffix.lower())
-    if kind is not None:
-        raise MapFileError(f"{path}: wanted a map's YAML or picture, found {kind}")
     values = _yaml_values(path)
     image, origin = values["image"], values["origin"]
     if not isinstance(image, str) or not 0 < len(image) <= NAME_MAX:

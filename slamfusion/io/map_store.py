@@ -113,7 +113,7 @@ class MapStore:
 def check_store(path: Path) -> None:
     """Refuse to write over something, or without Zarr, before any work."""
     if os.path.lexists(path):
-        message = f"{path} exists, and a store is not written over; remove it or name another"
+        message = f"{path} exists, and a store is not overwritten; remove it or name another"
         raise MapFileError(message)
     _zarr()
 

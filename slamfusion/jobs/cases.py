@@ -67,7 +67,7 @@ def case_names(files: Sequence[CaseFile]) -> list[str]:
     Raises:
         ConfigError: two have the same name, or a name cannot be a folder's.
     """
-    names = [file.case or _stem(file.path) for file in files]
+    names = [file.case or case_of(file.path) for file in files]
     for name, count in Counter(names).items():
         if count > 1:
             raise ConfigError(f"{count} files of the case {name!r}; write another name: NAME=FILE")
@@ -204,13 +204,13 @@ def _rest(case: str, path: Path) -> tuple[list[str], str]:
         if found and not seed:
             seed, rest = found[1], _SEED.sub("", rest, count=1)
         rests.append(rest.strip("-_. "))
-    return [rest for rest in rests if rest] or [ONLY_SEED if seed else _stem(path)], seed
+    return [rest for rest in rests if rest] or [ONLY_SEED if seed else case_of(path)], seed
 
 
 def _parts(path: Path) -> list[str]:
     """Return the parts of a path as it was given, the file's stem first."""
     folders = [part for part in path.parent.parts if part not in {"/", ".", ".."}]
-    return [_stem(path), *reversed(folders)]
+    return [case_of(path), *reversed(folders)]
 
 
 def _word(case: str) -> re.Pattern[str]:
@@ -218,7 +218,7 @@ def _word(case: str) -> re.Pattern[str]:
     return re.compile(rf"(?:^|{_BETWEEN}){re.escape(case)}(?:$|{_BETWEEN})", re.IGNORECASE)
 
 
-def _stem(path: Path) -> str:
+def case_of(path: Path) -> str:
     """Return a file's name without its suffixes of a format and of gzip."""
     from slamfusion.io.lines import strip_gz  # noqa: PLC0415  (OpenCV loads slowly)
 

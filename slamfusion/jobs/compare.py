@@ -196,7 +196,7 @@ def _pairing(first: SavedResults, second: SavedResults, keys: Sequence[str], row
     has_seeds = any((table["seed"] != "").any() for table in tables)
     shown = [key for key in keys if key != "seed" or has_seeds]
     same = " and ".join(filter(None, [", ".join(shown[:-1]), shown[-1]]))
-    sentence = f"{len(rows[0])} pairs of the same {same}"
+    sentence = f"{len(rows[0])} pair{'s' * (len(rows[0]) != 1)} of the same {same}"
     cases = rows[0].index.get_level_values("case").nunique()
     if has_seeds and "seed" in keys:
         return f"{sentence}, in {cases} case{'s' if cases > 1 else ''}"

@@ -71,14 +71,7 @@ def optimize_graph(path: str | Path, config: RunConfig | None = None) -> Optimiz
     config = config or RunConfig()
     file = read_g2o(Path(path))
     settings = config.graph_optimizer
-    found = optimize(
-        file.graph,
-        fixed=file.fixed,
-        robust=settings.robust,
-        start=settings.start,
-        max_iterations=settings.max_iterations,
-        tolerance=settings.tolerance,
-    )
+    found = optimize(file.graph, fixed=file.fixed, robust=settings.robust, start=settings.start)
     outliers = file.ids[file.graph.edges[found.is_outlier]]
     return OptimizedGraph(
         graph=file,

@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from slamfusion.evaluation.measured import MeasuredPath
+from slamfusion.fusion.path_check import PATH_GAP_M
 from slamfusion.geometry import Pose2
 from slamfusion.jobs.run_files import LogRun
 from slamfusion.palette import NAMED, Rgb
@@ -80,7 +81,7 @@ def _banner(run: LogRun) -> page.Banner:
     accepted = ", ".join(record.name for record in result.accepted)
     how = f"by vote ({run.fused_mode})"
     if run.fused_mode == "drawn":
-        how = "the map is drawn from all scans at the path fused of theirs"
+        how = "the map is drawn from all scans at their fused path"
     lines.append(("Fused:", f"{accepted}; {how}; in the frame of {result.reference}."))
     total = len(result.inputs) - len(result.copies) + len(run.failed)
     fused = len(result.accepted)
@@ -199,13 +200,12 @@ def _paths_section(run: LogRun, colours: Mapping[str, Rgb]) -> page.Section:
             title = f"{name}: its path over its map"
             pictures.append(page.Picture(f"path-{name}", picture, title, legend=MARKS))
     if gaps := run.path_gaps:
-        limit_m = config.run.path_gap_m
         over_time = [
             Series(
                 f"{gap.a} to {gap.b}",
                 "m",
                 *broken(gap.stamps_s, gap.gaps_m),
-                limit_m if gap.max_m > limit_m else None,
+                PATH_GAP_M if gap.max_m > PATH_GAP_M else None,
             )
             for gap in gaps
         ]
@@ -216,7 +216,7 @@ def _paths_section(run: LogRun, colours: Mapping[str, Rgb]) -> page.Section:
             "their maps is wrong."
         )
         pictures.append(page.Picture("path-gaps", figure, title, caption))
-        table = page.tables().path_gaps(gaps, limit_m)
+        table = page.tables().path_gaps(gaps, PATH_GAP_M)
     return page.Section("Paths", "", pictures, table)
 
 

@@ -24,8 +24,6 @@ if TYPE_CHECKING:
     from slamfusion.ros.fusion_node import FusionNode
 
 PATH_TOPIC = "fused/path"
-# Most poses of the published path, evenly chosen.
-PATH_POSES = 2000
 # Scans that wait to be read; then the oldest is dropped.
 SCAN_QUEUE = 20
 
@@ -116,9 +114,7 @@ class DriveInput:
         if self._path_topic.get_subscription_count():
             stamp = messages.to_stamp(float(solution.path.stamps_s[-1]))
             frame = settings.fused_frame
-            self._path_topic.publish(
-                messages.path_to_bytes(solution.path, frame, stamp, PATH_POSES)
-            )
+            self._path_topic.publish(messages.path_to_bytes(solution.path, frame, stamp))
 
     def close(self) -> None:
         """End both threads."""

@@ -330,7 +330,7 @@ class FusedFrames:
         if settings.fused_frame == settings.odom_frame:
             why = "both are one frame; rename one of them"
         elif not self.leader:
-            why = "no input that votes tells the robot's pose (NAME/pose beside NAME/map)"
+            why = "no input that votes has the robot's pose (NAME/pose next to NAME/map)"
         text = f"publish_tf: {settings.fused_frame} -> {settings.odom_frame} was never sent: {why}"
         is_unsent = settings.publish_tf and has_voters and not self._has_sent_odometry
         self._node.diagnostics.say("unsent", text if is_unsent else None, after_s=TF_LATE_S)

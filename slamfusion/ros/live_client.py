@@ -153,11 +153,12 @@ class LiveClient:
                     for name, folder in self._node.get_node_names_and_namespaces()
                     if name != self._node.get_name()
                 )
-                raise LiveNodeError(
-                    f"{self._target}: waited {self._timeout_s:g} s for {what}; running nodes: "
-                    f"{', '.join(names) or 'none'} (ROS_DOMAIN_ID "
-                    f"{os.environ.get('ROS_DOMAIN_ID', '0')}); name it with --node"
-                )
+                domain = f"(ROS_DOMAIN_ID {os.environ.get('ROS_DOMAIN_ID', '0')})"
+                advice = f"no node runs {domain}; start the fusion, or set its ROS_DOMAIN_ID"
+                if names:
+                    advice = f"running nodes: {', '.join(names)} {domain}; name it with --node"
+                message = f"{self._target}: waited {self._timeout_s:g} s for {what}; {advice}"
+                raise LiveNodeError(message)
             self._executor.spin_once(timeout_sec=SPIN_S)
 
 

@@ -33,6 +33,8 @@ except ImportError:  # only a sourced ROS has it; without it only whole maps are
     MapUpdate = None
 
 NS = 10**9
+# Most poses of a published path.
+PATH_POSES = 2000
 # A quaternion whose axis leaves the vertical by more (sine of half the tilt) is no yaw rotation.
 TILT_MAX = 0.02
 # Rows of x, y and yaw in the covariance of a geometry_msgs/PoseWithCovariance.
@@ -166,14 +168,14 @@ def _row_of_path(frame_size: int) -> np.dtype[Any]:
 
 
 def path_to_bytes(
-    trajectory: Trajectory, frame_id: str, stamp: Time, most: int | None = None
+    trajectory: Trajectory, frame_id: str, stamp: Time, most: int = PATH_POSES
 ) -> bytes:
     """Return a serialized nav_msgs/Path with at most ``most`` poses, evenly chosen, with the ends.
 
     As messages 5000 poses would take 50 ms to make, and 90 ms to read.
     """
     chosen = np.arange(len(trajectory))
-    if most is not None and len(chosen) > most:
+    if len(chosen) > most:
         chosen = np.unique(np.linspace(0, len(trajectory) - 1, most).round().astype(np.int64))
     stamps_s = trajectory.stamps_s[chosen].tolist()
     header = Header(frame_id=frame_id, stamp=stamp)

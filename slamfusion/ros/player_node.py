@@ -56,6 +56,8 @@ PARTS, APART_S = 10, 5.0
 CLOCK_STEP_S = 0.02
 # Writers are discovered a moment before their readers receive them.
 SETTLE_S = 0.3
+# Longest wait for the maps that hold the last scan, seconds; then those that came are written.
+SAVE_TIMEOUT_S = 20.0
 # Longest time for saving maps when the player is stopped.
 SAVE_AT_END_S = 8.0
 # Longer pauses in a log are shortened to this.
@@ -323,7 +325,7 @@ class PlayerNode(NodeBase):
         """Write the newest maps once they hold the last scan; those received if stopped early."""
         stamp_s = self._stamp_s or 0.0
         is_early = self._is_ending
-        self._wait_until(lambda: not self._late(stamp_s), self.settings.save_timeout_s)
+        self._wait_until(lambda: not self._late(stamp_s), SAVE_TIMEOUT_S)
         with self._changed:
             maps, late = dict(self._maps), self._late(stamp_s)
         if is_early:

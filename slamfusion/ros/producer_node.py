@@ -31,7 +31,6 @@ CHANGEABLE = (
     "odometry_wait_s",
     "scan_queue",
     "map_update_interval_s",
-    "path_poses",
     "publish_tf",
     "scans_stale_s",
     "reset_back_s",
@@ -247,9 +246,7 @@ class ProducerNode(NodeBase):
         self._metadata_topic.publish(message.info)
         if item.trajectory is not None and len(item.trajectory):
             self._path_topic.publish(
-                messages.path_to_bytes(
-                    item.trajectory, self._map_frame, stamp, self.settings.path_poses
-                )
+                messages.path_to_bytes(item.trajectory, self._map_frame, stamp)
             )
         self._session.count_map()
 

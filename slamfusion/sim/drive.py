@@ -37,6 +37,8 @@ REACHED_M = {"differential": 0.06, "tracks": 0.06, "bicycle": 0.25}
 TURN_FIRST_RAD = 0.7
 TURN_GAIN = 2.5
 STEER_RATE_RAD_S = 2.0
+STEER_MAX_RAD = 0.6
+ACCELERATION_MPS2 = 0.8
 # A blocked bicycle backs up by this before it tries again.
 BACK_UP_M = 0.4
 # After meeting a corner, a robot follows the path without look-ahead for this time.
@@ -267,7 +269,7 @@ class _Driver:
 
     def _towards(self, wanted: float) -> float:
         """Return the next speed, limited by the acceleration."""
-        change = self.drive.acceleration_mps2 * self.robot.step_s
+        change = ACCELERATION_MPS2 * self.robot.step_s
         self.speed += min(max(wanted - self.speed, -change), change)
         return self.speed
 
@@ -291,7 +293,7 @@ class _Driver:
     def _bicycle(self, side: float) -> _Command:
         """Steer towards the target; if blocked, back up with the wheel turned over."""
         drive, step_s = self.drive, self.robot.step_s
-        lock = drive.steer_max_rad
+        lock = STEER_MAX_RAD
         if abs(side) < math.pi / 2.0 or not self.over_rad:
             self.over_rad = math.copysign(lock, side)  # kept while turning around
         over = self.over_rad

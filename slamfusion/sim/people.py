@@ -21,6 +21,8 @@ LEG_APART_M = 0.22
 BODY_RADIUS_M = 0.22
 STRIDE_M = 1.4
 SWING_M = 0.25
+# A person stands still rather than come nearer to the robot than this.
+DISTANCE_M = 0.7
 # Least distance between the two places of one person.
 WALK_M = 3.0
 
@@ -85,7 +87,7 @@ def _paced(way: F64, person: PersonConfig, robot: F64, step_s: float) -> F64:
     for n in range(1, len(robot)):
         at = (along + pace_m) % float(lengths[-1])
         x, y = (float(np.interp(at, lengths, way[:, axis])) for axis in (0, 1))
-        if math.hypot(x - robot[n, 0], y - robot[n, 1]) >= person.distance_m:
+        if math.hypot(x - robot[n, 0], y - robot[n, 1]) >= DISTANCE_M:
             along += pace_m
         walked[n] = along
     return walked

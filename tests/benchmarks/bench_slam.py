@@ -43,27 +43,14 @@ from slamfusion.geometry import F64, compose_poses, invert_poses, row_of, wrap_a
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import LogScan, open_log, read_trajectory, save_map
 from slamfusion.io.log import odometry_path
-from slamfusion.jobs.inputs import LogFiles
 from slamfusion.sim import named_course, simulate, with_overrides
 from slamfusion.slam.common.mapper import Closure
 from slamfusion.slam.common.runner import ProducerRun, run_producer
 from slamfusion.slam.registry import BUILT_IN, load_config, make_producer, open_producer_device
 from slamfusion.trajectory import Trajectory
 from tests.benchmarks.record import add_record_option, console_for
-from tests.support.datasets import ABSENT, DATASETS
+from tests.support.datasets import ABSENT, CSAIL, DATASETS, INTEL, MEASURED
 
-CSAIL, INTEL = DATASETS / "mit-csail", DATASETS / "intel"
-MEASURED = (
-    LogFiles(CSAIL / "mit-csail.clf.gz", CSAIL / "mit-csail.relations"),
-    *(
-        LogFiles(
-            INTEL / f"intel-{count}-raw.log.gz",
-            INTEL / "intel.relations",
-            INTEL / "intel-odometry-13631.txt.gz",
-        )
-        for count in (2726, 910)
-    ),
-)
 BEST = {
     "mit-csail": CSAIL / "mit-csail-reference-graph.log.gz",
     "intel-2726-raw": INTEL / "intel-estimate-11439.txt.gz",

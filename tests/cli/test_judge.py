@@ -46,7 +46,7 @@ def test_a_fused_path_is_written_and_told(drive: Path, tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     assert "from fused, rms [m]" in done.stdout
     assert f"\nfused path: {out}\n" in done.stdout
-    assert done.stdout.endswith("\nSingle SLAM: good\n")
+    assert "\nSingle SLAM: good\nreport: " in done.stdout
     assert len(read_trajectory(out)) == len(TRUTH)
     page = (tmp_path / "report" / "report.html").read_text(encoding="utf-8")
     assert "<h1>Use the fused path" in page

@@ -10,11 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from slamfusion.io import load_map, read_trajectory, write_carmen, write_tum
-from slamfusion.trajectory import Trajectory
+from slamfusion.io import load_map, read_trajectory
 from tests.cli.command import assert_one_line_failure, json_of, run, tree
 from tests.cli.run_folder import MAPS_OF_FUSION, files_of, outputs
-from tests.slam.drives import drive
+from tests.slam.drives import write_flat
 from tests.support.datasets import ABSENT, DATASETS
 from tests.support.documents import check_document
 
@@ -29,14 +28,7 @@ CSAIL = DATASETS / "mit-csail"
 def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a drive through a flat, its true path, relations, and a saved map of it."""
     folder = tmp_path_factory.mktemp("place")
-    scans, truth = drive(64)
-    write_carmen(folder / "flat.log", scans)
-    stamps = np.array([item.scan.stamp_s for item in scans])
-    poses = np.array([(pose.x, pose.y, pose.yaw_rad) for pose in truth])
-    write_tum(folder / "truth.tum", Trajectory(stamps, poses, "truth"))
-    motion = truth[0].inverse().compose(truth[60])
-    line = f"0.0 6.0 {motion.x} {motion.y} 0 0 0 {motion.yaw_rad}\n"
-    (folder / "flat.relations").write_text(line, encoding="utf-8")
+    write_flat(folder, 64)
     done = run("slam", "tinyslam", folder / "flat.log", "--seed", "9", "-o", folder / "saved")
     assert done.returncode == 0, done.stderr
     return folder

@@ -6,14 +6,11 @@ import json
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 from slamfusion.cli.program import run_program
-from slamfusion.io import write_carmen, write_tum
 from slamfusion.jobs.run_many import log_tasks
-from slamfusion.trajectory import Trajectory
-from tests.slam.drives import drive
+from tests.slam.drives import write_flat
 from tests.support.documents import check_document
 
 pytestmark = pytest.mark.once
@@ -22,19 +19,15 @@ pytestmark = pytest.mark.once
 @pytest.fixture
 def place(tmp_path: Path) -> Path:
     """A folder with a short drive and its true path."""
-    scans, truth = drive(24)
-    write_carmen(tmp_path / "flat.log", scans)
-    stamps = np.array([item.scan.stamp_s for item in scans])
-    poses = np.array([(pose.x, pose.y, pose.yaw_rad) for pose in truth])
-    write_tum(tmp_path / "truth.tum", Trajectory(stamps, poses, "truth"))
+    write_flat(tmp_path, 24, "flat.log.gz")
     return tmp_path
 
 
 def test_slam_runs_each_seed_and_prints_their_mean_and_deviation(
     place: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    words = ["slam", "tinyslam", str(place / "flat.log"), "-o", str(place / "t"), "--seeds", "3-4"]
-    words += ["--truth", str(place / "truth.tum")]
+    words = ["slam", "tinyslam", str(place / "flat.log.gz"), "-o", str(place / "t")]
+    words += ["--seeds", "3-4", "--truth", str(place / "truth.tum")]
     assert run_program([*words, "--table", str(place / "table.tex")]) == 0
     printed = capsys.readouterr().out
     rows = [line.split("\t") for line in printed.splitlines()]
@@ -65,12 +58,12 @@ def test_a_run_of_two_seeds_prints_one_table(
     place: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(place)
-    words = ["run", "flat.log", "-o", "out", "--seeds", "0,1"]
+    words = ["run", "flat.log.gz", "-o", "out", "--seeds", "0,1"]
     words += ["--truth-trajectory", str(place / "truth.tum"), "--producers", "tinyslam,graph"]
     assert run_program([*words, "--save-results", str(place / "all.zip")]) == 0
     rows = [line.split("\t") for line in capsys.readouterr().out.splitlines()]
     assert ["flat", "mean of 2", "fused"] in [row[:3] for row in rows]
-    folders = [row[4] for row in rows if row[0].startswith("flat.log seed")]
+    folders = [row[4] for row in rows if row[0].startswith("flat.log.gz seed")]
     assert folders == ["out/flat/seed-0", "out/flat/seed-1"]
     for seed in (0, 1):
         assert (place / "out" / "flat" / f"seed-{seed}" / "fused.yaml").is_file()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 
 import numpy as np
 import pytest
@@ -15,16 +16,11 @@ from slamfusion.evaluation.map_error import MapError, compare_to_truth
 from slamfusion.evaluation.wall_faces import face_cells, outside_area, wall_thickness
 from slamfusion.geometry import Pose2
 from slamfusion.grid import IDENTITY, OccupancyGrid, trinary_cells
+from tests.evaluation import drawings
 from tests.support.examples import examples
 
 NORMALIZE = NormalizeConfig()
-CHARACTERS = {"?": -1, ".": 0, "#": 100}
-
-
-def draw(*rows: str, resolution: float = 0.05, origin: Pose2 = IDENTITY) -> OccupancyGrid:
-    """Draw a grid; the first string is the top row, so the last is row 0."""
-    cells = np.array([[CHARACTERS[c] for c in row] for row in reversed(rows)], dtype=np.int8)
-    return OccupancyGrid(cells, resolution, origin)
+draw = partial(drawings.draw, resolution=0.05)
 
 
 def compare(

@@ -69,7 +69,7 @@ def test_each_copy_votes_where_that_is_asked_for(device: ComputeDevice) -> None:
 
 def test_copies_alone_are_no_fusion(device: ComputeDevice) -> None:
     grids = [two()[0], two()[0].with_name("again")]
-    with pytest.raises(AlignmentError, match=r"a, again are one map, .* keep_duplicates"):
+    with pytest.raises(AlignmentError, match=r"a, again are the same map, .* --keep-duplicates"):
         fuse_grids(grids, QUICK, device)
 
 

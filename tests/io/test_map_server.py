@@ -77,6 +77,8 @@ def test_origin_yaw_turns_the_map_about_its_corner(tmp_path: Path) -> None:
         ("map.png", png([bytes(row) for row in ROWS], 3)),
         ("map.png", png([bytes(v for w in row for v in (w, w, w)) for row in ROWS], 3, colour=2)),
         ("map.bmp", bmp24(ROWS)),
+        # Stored top down: rows in the other order, and a negative height.
+        ("map.bmp", bmp24(ROWS[::-1])[:22] + b"\xfe\xff\xff\xff" + bmp24(ROWS[::-1])[26:]),
     ],
 )
 def test_every_format_gives_the_same_cells(

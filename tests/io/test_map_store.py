@@ -85,7 +85,7 @@ def test_nothing_is_left_of_one_that_zarr_refuses_or_that_is_interrupted(
 def test_what_is_there_is_not_written_over(tmp_path: Path) -> None:
     path = tmp_path / "map.zarr"
     path.write_text("mine")
-    with pytest.raises(MapFileError, match=r"map\.zarr exists, and a store is not written over"):
+    with pytest.raises(MapFileError, match=r"map\.zarr exists, and a store is not overwritten"):
         opened(path)
     assert path.read_text() == "mine"
     with pytest.raises(MapFileError, match="cannot write: Not a directory"):

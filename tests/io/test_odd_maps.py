@@ -60,7 +60,7 @@ def test_a_picture_of_another_machine_lies_beside_the_yaml(tmp_path: Path, image
     path = written(tmp_path, GREYS, image)
     assert load_map(path, warn=said.append).cells[0].tolist() == RIGHT
     assert len(said) == 1
-    assert "map.png beside the YAML" in said[0]
+    assert "map.png next to the YAML" in said[0]
 
 
 @pytest.mark.parametrize("image", ["/home/a/maps/other.png", "C:\\", "maps/"])

@@ -101,7 +101,7 @@ def test_rivals_are_named_with_what_to_do(domain: int, processes: Processes, obs
     observer.wait_status(FUSION, "another node, '/second', publishes '/fused/map' too: end one")
     observer.wait_status("second: fusion", "another node, '/fusion', publishes '/fused/map' too")
     # Nobody tells where the robot is.
-    words = "publish_tf: fused_map -> odom was never sent: no input that votes tells"
+    words = "publish_tf: fused_map -> odom was never sent: no input that votes has"
     observer.wait_status(FUSION, words)
     robot = Robot(observer)
     transforms = told_transforms(observer)

@@ -11,7 +11,15 @@ import pytest
 from slamfusion.config import ActionConfig, DriveConfig, ObstacleConfig
 from slamfusion.errors import SimulationError
 from slamfusion.geometry import Pose2, wrap_angles
-from slamfusion.sim.drive import DRIVES, Motion, StuckError, follow_ways, read_odometry, run_script
+from slamfusion.sim.drive import (
+    DRIVES,
+    STEER_MAX_RAD,
+    Motion,
+    StuckError,
+    follow_ways,
+    read_odometry,
+    run_script,
+)
 from slamfusion.sim.route import FreeSpace
 from tests.sim.places import clearance_m, room, world_of
 
@@ -120,7 +128,7 @@ def test_a_bicycle_turns_no_tighter_than_its_steering_allows() -> None:
     motion = drive_to("bicycle", (5.0, 3.0), (-5.0, 3.0))
     drive = DRIVES["bicycle"]
     way, turn = motion.wheels[1:].T
-    limit = math.tan(drive.steer_max_rad) / drive.wheelbase_m
+    limit = math.tan(STEER_MAX_RAD) / drive.wheelbase_m
     assert np.abs(turn).max() > 0.0
     assert (np.abs(turn) <= np.abs(way) * limit + 1e-12).all()
 

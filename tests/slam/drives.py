@@ -6,6 +6,7 @@ import functools
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -13,15 +14,17 @@ import numpy.typing as npt
 from slamfusion.compute import NumpyDevice
 from slamfusion.geometry import Pose2
 from slamfusion.grid import IDENTITY
+from slamfusion.io import write_carmen, write_tum
 from slamfusion.io.log import LogScan
 from slamfusion.scan import LaserScan
+from slamfusion.trajectory import Trajectory
 
 CELL_M = 0.05
 BEAMS = 181
 REACH_M = 8.0
 # What a producer's health says of ``jumped``.
 ONE_JUMP = [
-    {"reason": "odometry jumped by more than 5 m: not believed", "count": 1, "first_lines": [31]}
+    {"reason": "odometry jumped by more than 5 m: ignored", "count": 1, "first_lines": [31]}
 ]
 
 
@@ -124,3 +127,15 @@ def jumped(scans: Sequence[LogScan]) -> list[LogScan]:
         replace(item, odometry=away.compose(item.odometry or Pose2())) if index >= 30 else item
         for index, item in enumerate(scans)
     ]
+
+
+def write_flat(folder: Path, count: int, log: str = "flat.log") -> None:
+    """Write a drive with its true path, and one relation over all but its last scans."""
+    scans, truth = drive(count)
+    write_carmen(folder / log, scans)
+    rows = np.array([(pose.x, pose.y, pose.yaw_rad) for pose in truth])
+    write_tum(folder / "truth.tum", Trajectory(0.1 * np.arange(count), rows, "truth"))
+    last = 10 * ((count - 2) // 10)
+    motion = truth[0].inverse().compose(truth[last])
+    line = f"0.0 {last / 10} {motion.x} {motion.y} 0 0 0 {motion.yaw_rad}\n"
+    (folder / "flat.relations").write_text(line, encoding="utf-8")

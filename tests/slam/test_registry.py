@@ -137,10 +137,10 @@ def test_settings_at_the_top_of_a_file_are_read_with_a_warning(
 
 
 def test_a_file_sets_producers_by_name(tmp_path: Path) -> None:
-    text = "seed: 4\nproducers: {graph: {matcher: {climbers: 9}}, tinyslam: }\n"
+    text = "seed: 4\nproducers: {graph: {matcher: {jump_m: 9.0}}, tinyslam: }\n"
     config = load_config(written(tmp_path, text))
     assert config.seed == 4
-    assert settings_of(config, "graph").matcher.climbers == 9
+    assert settings_of(config, "graph").matcher.jump_m == 9.0
     assert settings_of(config, "graph").matcher.beams == GraphConfig().matcher.beams
     assert settings_of(config, "tinyslam") == producer("tinyslam").config
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 from slamfusion.io.map_server import load_map
+from slamfusion.jobs.inputs import LogFiles
 
 DATASETS = Path(
     os.environ.get(
@@ -23,6 +24,19 @@ DATASETS = Path(
     )
 )
 MAPS = DATASETS / "maps"
+CSAIL, INTEL = DATASETS / "mit-csail", DATASETS / "intel"
+# The recorded drives whose relations are known.
+MEASURED = (
+    LogFiles(CSAIL / "mit-csail.clf.gz", CSAIL / "mit-csail.relations"),
+    *(
+        LogFiles(
+            INTEL / f"intel-{count}-raw.log.gz",
+            INTEL / "intel.relations",
+            INTEL / "intel-odometry-13631.txt.gz",
+        )
+        for count in (2726, 910)
+    ),
+)
 ABSENT = f"the recorded maps are not at {DATASETS}; set SLAMFUSION_DATASETS to their folder"
 
 

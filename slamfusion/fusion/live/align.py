@@ -22,6 +22,8 @@ from slamfusion.grid import IDENTITY
 
 # Transforms with a greater turn between them are two places, as with ``live.jump_m``.
 JUMP_RAD = 0.05
+# A transform that moves every corner of an input by fewer cells is left as it was.
+HOLD_CELLS = 0.6
 
 
 class LastSearch(NamedTuple):
@@ -240,7 +242,7 @@ class Aligner:
 
     def is_worth_a_move(self, track: Input, a: Pose2, b: Pose2) -> bool:
         """Whether two transforms of an input's map differ enough to use the new one."""
-        return track.apart(a, b)[2] >= self.live.hold_cells * self.layers.fixed.resolution
+        return track.apart(a, b)[2] >= HOLD_CELLS * self.layers.fixed.resolution
 
     def accept(self, track: Input, moved: Pose2, pair: Alignment, *, is_tracked: bool) -> None:
         """Let an input vote, at its old transform if the new one is nearly the same."""

@@ -127,7 +127,7 @@ class LiveFusion(Mailbox):
         self._supervisor = InputSupervisor(self._aligner)
         self._inputs = self._supervisor.inputs
         with self._lock:
-            self._poses = PoseWatch(self._live)
+            self._poses = PoseWatch()
         self._restored: dict[str, Pose2] = {}
         self._said: Evidence | None = None
         self._drawn = self._input(DRAWN, IDENTITY)
@@ -160,8 +160,6 @@ class LiveFusion(Mailbox):
     def configure(self, live: LiveConfig) -> None:
         """Change the settings; in the thread of updates."""
         self._live = self._layers.live = live
-        with self._lock:
-            self._poses.live = live
 
     # -- over a restart ---------------------------------------------------------------------------
 

@@ -60,7 +60,7 @@ def unusable(grid: OccupancyGrid, thresholds: NormalizeConfig) -> str | None:
         known, to_free = grid.cells.size, steps
     if to_free < max(WALLS_MIN, EDGE_MIN * walls):
         return (
-            f"says nothing of a place: hardly any of its {walls} occupied cells lies beside "
+            f"says nothing of a place: hardly any of its {walls} occupied cells lies next to "
             "another cell; is it all occupied?"
         )
     if to_free > STEPS_MAX * known:

@@ -2,10 +2,10 @@
 
 SLAMs that track one robot report a pose for each of its scans, at the scan's stamp. Two inputs are
 *linked* (they track one robot) once their poses of equal stamps, in the fused frame, have stayed
-within 0.3 of ``pose_apart_m`` and ``pose_apart_rad`` for ``LINK_M`` metres. Two robots cannot share
+within 0.3 of ``APART_M`` and ``APART_RAD`` for ``LINK_M`` metres. Two robots cannot share
 a place, and their scans seldom share a stamp, so their inputs are never linked; inputs that are not
 linked are never compared. Linked inputs are *apart* when their poses have differed by more than a
-limit for ``pose_apart_s`` seconds of stamps without a break, until they have been within 0.7 of
+limit for ``APART_S`` seconds of stamps without a break, until they have been within 0.7 of
 both limits for as long.
 
 The input that is apart from the most others contradicts them; it is left out and the rest is
@@ -26,7 +26,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from slamfusion.align.starts import StartPose
-from slamfusion.config import LiveConfig
 from slamfusion.geometry import (
     F64,
     Pose2,
@@ -40,6 +39,9 @@ from slamfusion.geometry import (
 )
 from slamfusion.trajectory import SAME_STAMP_S
 
+# Poses of one robot farther apart than this, metres and radians, contradict each other; for this
+# long, seconds, they must be apart to take a vote, and together to give it back.
+APART_M, APART_RAD, APART_S = 1.0, 0.35, 3.0
 # Metres that two inputs drive together before they are linked.
 LINK_M = 2.0
 # Shares of the limits: together, and together again.
@@ -83,7 +85,7 @@ class _Pair:
         self.changing_s, self.is_apart, self.last = None, False, None
         self.together_m = 0.0
 
-    def compare(self, stamp_s: float, a: Pose2, b: Pose2, live: LiveConfig) -> None:
+    def compare(self, stamp_s: float, a: Pose2, b: Pose2) -> None:
         """Take two poses of one stamp, in the fused frame."""
         if stamp_s < self.newest_s - BACK_S:
             self.changing_s, self.last = None, None
@@ -92,7 +94,7 @@ class _Pair:
         self.newest_s = stamp_s
         away_m = math.dist((a.x, a.y), (b.x, b.y))
         turn_rad = abs(wrap_angle(a.yaw_rad - b.yaw_rad))
-        share = max(_share(away_m, live.pose_apart_m), _share(turn_rad, live.pose_apart_rad))
+        share = max(_share(away_m, APART_M), _share(turn_rad, APART_RAD))
         if not self.is_linked:
             self._link(a, share)
             return
@@ -102,7 +104,7 @@ class _Pair:
             return
         if self.changing_s is None:
             self.changing_s = stamp_s
-        if stamp_s - self.changing_s >= live.pose_apart_s:
+        if stamp_s - self.changing_s >= APART_S:
             self.is_apart, self.changing_s = not self.is_apart, None
             self.words = f"{away_m:.1f} m and {math.degrees(turn_rad):.0f} degrees apart"
 
@@ -120,9 +122,8 @@ class _Pair:
 class PoseWatch:
     """Compares the poses of the inputs; see the rule above. Not for several threads at once."""
 
-    def __init__(self, live: LiveConfig) -> None:
-        """Start without poses; ``live`` gives the limits."""
-        self.live = live
+    def __init__(self) -> None:
+        """Start without poses."""
         self._placed: dict[str, Pose2] = {}
         self._poses: dict[str, OrderedDict[int, Pose2]] = {}
         self._pairs: dict[tuple[str, str], _Pair] = {}
@@ -151,10 +152,7 @@ class PoseWatch:
         newest, moved = before.compose(own), now.compose(own)
         away_m = math.dist((moved.x, moved.y), (newest.x, newest.y))
         turn_rad = abs(wrap_angle(moved.yaw_rad - newest.yaw_rad))
-        live = self.live
-        return away_m > LINK_SHARE * live.pose_apart_m or (
-            turn_rad > LINK_SHARE * live.pose_apart_rad
-        )
+        return away_m > LINK_SHARE * APART_M or (turn_rad > LINK_SHARE * APART_RAD)
 
     def remove(self, name: str) -> None:
         """Forget an input and whom it was linked with."""
@@ -171,7 +169,7 @@ class PoseWatch:
             if other != name and key in self._poses.get(other, ()):
                 names = (name, other) if name < other else (other, name)
                 a, b = (self._placed[one].compose(self._poses[one][key]) for one in names)
-                self._pairs.setdefault(names, _Pair()).compare(stamp_s, a, b, self.live)
+                self._pairs.setdefault(names, _Pair()).compare(stamp_s, a, b)
         own.move_to_end(key)
         if len(own) > KEPT:
             own.popitem(last=False)
@@ -199,7 +197,7 @@ class PoseWatch:
             return None
         motion = fit_motion(with_levers(own), with_levers(other))
         apart_m = np.hypot(*(moved_poses(motion, own) - other)[:, :2].T)
-        is_one = apart_m.max() <= LINK_SHARE * self.live.pose_apart_m
+        is_one = apart_m.max() <= LINK_SHARE * APART_M
         return StartPose(motion, START_M, START_RAD) if is_one else None
 
     def covariance(self, leader: str, others: Collection[str], stamp_s: float) -> F64:
@@ -207,7 +205,7 @@ class PoseWatch:
 
         X and y in metres, yaw in radians: the mean square of the differences from the poses of
         others at equal stamps. It counts whole, twice the variance of independent inputs, since the
-        inputs read the same scans. Without others, ``pose_apart_m`` and ``pose_apart_rad`` are the
+        inputs read the same scans. Without others, ``APART_M`` and ``APART_RAD`` are the
         deviations.
         """
         own, gaps = self._poses.get(leader, OrderedDict()), np.empty((0, 3))
@@ -221,7 +219,7 @@ class PoseWatch:
             )
             gaps = np.concatenate((gaps, there - here))
         if not len(gaps):
-            return np.diag((self.live.pose_apart_m**2,) * 2 + (self.live.pose_apart_rad**2,))
+            return np.diag((APART_M**2,) * 2 + (APART_RAD**2,))
         gaps[:, 2] = wrap_angles(gaps[:, 2])
         return np.asarray(gaps.T @ gaps / len(gaps) + np.diag((LEAST_M**2,) * 2 + (LEAST_RAD**2,)))
 

@@ -18,6 +18,8 @@ from slamfusion.fusion.live.recovery import Anchor
 from slamfusion.vote.lattice import Lattice
 
 NEVER = float("-inf")
+# Cells aligned again while a new map waits; what comes on top of these waits for a pause.
+TRACK_CELLS = 2_000_000
 # A steady voter is late when this many times the usual share has changed; then it only waits for
 # other late ones.
 LATE = 20.0
@@ -199,7 +201,7 @@ class InputSupervisor:
             if one is reference:
                 continue
             own = 0 if one.layer is None else one.layer.box.area
-            may_wait = one.votes and cells + own > self._aligner.live.track_cells
+            may_wait = one.votes and cells + own > TRACK_CELLS
             is_late = one.drift > LATE * self._few(one, reference)
             if may_wait and (has_late or not is_late):
                 if not (is_idle and cells == 0):

@@ -24,7 +24,6 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.compute.arrays import DeviceArray
 from slamfusion.compute.layout import CLIMBERS
 from slamfusion.compute.scan_match import FieldWindow
-from slamfusion.config import MatcherConfig
 from slamfusion.geometry import F64, corners, wrap_angle, wrap_angles
 
 # Distance, metres, between the five cells whose maximum the first look uses: the draws' spacing.
@@ -35,6 +34,10 @@ WINDOW_ROOM = 0.5
 TELLING_CELLS = 100.0
 # Larger than any column: combines a row and a column into one number.
 _ROW_STRIDE = 1 << 32
+# Poses of the first look, the best of them from which a climb starts, and rounds of a climb.
+FIRST_POSES, STARTS, ROUNDS = 256, 6, 4
+# Score lost one spread from the expected place, and from the expected heading.
+PRIOR_WEIGHT_XY, PRIOR_WEIGHT_YAW = 0.04, 0.005
 # Share of the spread that hill climbing begins with, and share that is left of a step after each
 # round: by the last one steps are far below a cell.
 FIRST_NARROWING, NARROWING = 0.4, 0.5
@@ -223,14 +226,16 @@ def _scale(points: DeviceArray[Any]) -> float:
 def search_pose(
     scan: ScanOnTiles,
     hypotheses: Sequence[PoseHypothesis],
-    config: MatcherConfig,
     rng: np.random.Generator,
     trust: float = 1.0,
+    *,
+    first_poses: int = FIRST_POSES,
+    climbs: int = STARTS,
 ) -> Match:
     """Search around at least one hypothesis, with equal numbers of first poses."""
     centres = np.array([one.pose for one in hypotheses])
     sigmas = np.array([one.spread for one in hypotheses])
-    weights = np.array([config.prior_weight_xy, config.prior_weight_xy, config.prior_weight_yaw])
+    weights = np.array([PRIOR_WEIGHT_XY, PRIOR_WEIGHT_XY, PRIOR_WEIGHT_YAW])
     # A mean over few cells is less certain, so the hypotheses weigh more.
     weights *= max(1.0, TELLING_CELLS / scan.cells)
     weights[:2] *= trust
@@ -243,14 +248,14 @@ def search_pose(
         return reduce(np.minimum, ((away / sigmas) ** 2 @ weights + own).T)
 
     # The first look, and the hypotheses themselves.
-    each = -(-config.first_poses // len(hypotheses))
+    each = -(-first_poses // len(hypotheses))
     draws = rng.standard_normal((len(hypotheses), each, 3))
     poses = (centres[:, None, :] + draws * sigmas[:, None, :]).reshape(-1, 3)
     order = np.argsort(loss(poses) - scan.scores(poses, wide=True), kind="stable")
-    starts = np.concatenate((poses[order[: config.climbers]], centres))
+    starts = np.concatenate((poses[order[:climbs]], centres))
     # Hill climbing; each round's first step is zero, which keeps the best pose so far.
-    widths = sigmas.max(axis=0) * FIRST_NARROWING * NARROWING ** np.arange(config.rounds)[:, None]
-    steps = rng.standard_normal((config.rounds, len(starts), CLIMBERS, 3))
+    widths = sigmas.max(axis=0) * FIRST_NARROWING * NARROWING ** np.arange(ROUNDS)[:, None]
+    steps = rng.standard_normal((ROUNDS, len(starts), CLIMBERS, 3))
     steps *= widths[:, None, None, :]
     steps[:, :, 0] = 0.0
     pose, objective = scan.hill_climb(starts, steps, (centres, sigmas, own), weights)

@@ -19,6 +19,8 @@ from slamfusion.geometry import F64, Pose2, row_of
 from slamfusion.grid import IDENTITY
 from slamfusion.slam.common.mapper import Health
 from slamfusion.slam.common.matcher import (
+    FIRST_POSES,
+    PRIOR_WEIGHT_XY,
     FieldMap,
     Match,
     PoseHypothesis,
@@ -30,6 +32,9 @@ from slamfusion.slam.common.matcher import (
 )
 from slamfusion.slam.common.state import Stateful
 
+# Spread of the first look, metres and radians, and what a metre and a radian of odometry add.
+SIGMA_M, SIGMA_M_PER_M = 0.1, 0.15
+SIGMA_RAD, SIGMA_RAD_PER_RAD = 0.05, 0.2
 # Share of the running mean score below which a match is low: while tracking holds that is rare.
 LOW_SHARE = 0.5
 # Spread and draws of the second search after a low match, as factors of the first one's; wide
@@ -109,7 +114,7 @@ class Tracker(Stateful):
             return self._without_odometry(onward, stamp_s - self.stamp_s)
         step = self.odometry.inverse().compose(odometry)
         if math.hypot(step.x, step.y) > self.config.jump_m:
-            reason = f"odometry jumped by more than {self.config.jump_m:g} m: not believed"
+            reason = f"odometry jumped by more than {self.config.jump_m:g} m: ignored"
             self.health.skips.add(reason, self.health.scans)
             self.has_jumped = True
             return [self._hypothesis(onward, NO_ODOMETRY_SPREAD, 0.0)]
@@ -122,18 +127,17 @@ class Tracker(Stateful):
 
     def match(self, walls: FieldMap, points: F64, hypotheses: list[PoseHypothesis]) -> Match:
         """Search points (P, 2), metres in the robot's frame, around at least one hypothesis."""
-        config = self.config
-        scan = ScanOnTiles(self.device, walls, points, config.beams)
+        scan = ScanOnTiles(self.device, walls, points, self.config.beams)
         by_odometry, trust = hypotheses[0].by_odometry, hypotheses[0].trust
-        if not by_odometry:  # as many draws around each place on the way
-            config = replace(config, first_poses=len(hypotheses) * config.first_poses)
-        match = search_pose(scan, hypotheses, config, self.rng, trust)
+        # Without odometry as many draws around each place on the way.
+        count = FIRST_POSES * (1 if by_odometry else len(hypotheses))
+        match = search_pose(scan, hypotheses, self.rng, trust, first_poses=count)
         mean = self.running_mean_score
         is_low = mean is not None and match.score < LOW_SHARE * mean
         if is_low and self.searches_again:
-            more = replace(config, first_poses=SECOND_SEARCH_POSES * config.first_poses)
             around = [replace(g, spread=SECOND_SEARCH_SPREAD * g.spread) for g in hypotheses]
-            again = search_pose(scan, around, more, self.rng, trust)
+            more = SECOND_SEARCH_POSES * count
+            again = search_pose(scan, around, self.rng, trust, first_poses=more)
             if again.score > match.score + SECOND_SEARCH_GAIN:
                 match = again
         if self.resolves_degeneracy and by_odometry:
@@ -186,7 +190,7 @@ class Tracker(Stateful):
         if not self.doubts_young_map:
             return 1.0
         spreads = math.hypot(step.x, step.y) / float(self._spread(step, 1.0)[0])
-        standing = self.config.prior_weight_xy * spreads**2
+        standing = PRIOR_WEIGHT_XY * spreads**2
         if standing * YOUNG_SCANS < STANDING_LOSS:
             return 1.0
         return max(1.0, min(YOUNG_SCANS / max(1, self.health.scans_used), STANDING_LOSS / standing))
@@ -196,10 +200,9 @@ class Tracker(Stateful):
         return PoseHypothesis(row_of(start.compose(step)), self._spread(step, wider), loss)
 
     def _spread(self, step: Pose2, wider: float) -> F64:
-        config = self.config
         return wider * spread_of(
-            config.sigma_m + config.sigma_m_per_m * math.hypot(step.x, step.y),
-            config.sigma_rad + config.sigma_rad_per_rad * abs(step.yaw_rad),
+            SIGMA_M + SIGMA_M_PER_M * math.hypot(step.x, step.y),
+            SIGMA_RAD + SIGMA_RAD_PER_RAD * abs(step.yaw_rad),
         )
 
     def _remember(self, score: float) -> None:

@@ -14,7 +14,7 @@ pose are never opened.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -24,6 +24,7 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.config import GraphConfig
 from slamfusion.geometry import F64, wrap_angle, wrap_angles
 from slamfusion.slam.common.matcher import (
+    STARTS,
     PoseHypothesis,
     ScanOnTiles,
     response_information,
@@ -165,6 +166,8 @@ LOCAL_DRIFT_M = 0.8
 # hits that may be unseen in the older submap; a search without an expected place needs more.
 MEAN_SHARE, MEAN_SHARE_ANYWHERE = 0.75, 0.85
 MOST_UNSEEN, MOST_UNSEEN_ANYWHERE = 0.6, 0.3
+# Half the angle of the widest window, radians.
+MOST_TURN_RAD = 0.349
 # Another place with this share of a closure's response makes it ambiguous.
 RIVAL_SHARE = 0.93
 # Half-width of the search if tracking may have failed, metres and radians. If a bad match is best
@@ -196,9 +199,6 @@ class ClosureSearch:
         self._config = config
         self._device = device
         self._rng = rng
-        # A window search ends within a cell of the place, so half of the climbers suffice.
-        climbers = max(1, config.matcher.climbers // 2)
-        self._after_window = replace(config.matcher, climbers=climbers)
         self._recent: dict[Submap, None] = {}
 
     def near(
@@ -213,7 +213,7 @@ class ClosureSearch:
         """
         config = self._config
         least = max(config.loop_match_minimum_response, MEAN_SHARE * mean_score)
-        turn = min(config.coarse_search_angle_offset, TURN_RAD + TURN_RAD_PER_M * drift_m)
+        turn = min(MOST_TURN_RAD, TURN_RAD + TURN_RAD_PER_M * drift_m)
         if drift_m <= LOCAL_DRIFT_M:
             spread = spread_of(max(drift_m / 2.0, LEAST_SPREAD_M), turn / 2.0)
             hypothesis = PoseHypothesis(expected, spread)
@@ -300,8 +300,9 @@ class ClosureSearch:
         config = self._config
         walls = self._kept(submap).walls()
         scan = ScanOnTiles(self._device, walls, points, config.matcher.beams)
-        matcher = self._after_window if by_window else config.matcher
-        match = search_pose(scan, [hypothesis], matcher, self._rng)
+        # A window search ends within a cell of the place, so half of the climbs suffice.
+        climbs = STARTS // 2 if by_window else STARTS
+        match = search_pose(scan, [hypothesis], self._rng, climbs=climbs)
         unseen = scan.unseen_share(match.pose, UNSEEN_WALL)
         if unseen > most_unseen:
             return LITTLE_IN_COMMON

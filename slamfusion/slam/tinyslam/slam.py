@@ -29,6 +29,10 @@ from slamfusion.slam.common.tile_map import TileMap, known_part
 from slamfusion.slam.common.tracking import Tracker
 from slamfusion.trajectory import Trajectory
 
+# Factor on the quality of a scan that the matcher moved far.
+QUALITY_MOVED = 0.5
+# Mean value, 0 to 1, from which a cell is published as occupied.
+OCCUPIED_SHARE = 0.3
 # Value, 0 to 1, of a cell that nothing is known of: as likely a wall as free.
 UNKNOWN_VALUE = 0.5
 
@@ -170,7 +174,7 @@ class TinySlam:
         if not self._mapped:
             raise SlamFusionError(f"{self.name}: no scan could be used, so there is no map")
         states, first = self._map.cells("published")
-        percent = _percent(states.astype(np.uint32), self._config.occupied_share)
+        percent = _percent(states.astype(np.uint32), OCCUPIED_SHARE)
         return known_part(percent, self._anchor, first, self._config.resolution, self.name)
 
     def memory_bytes(self) -> int:
@@ -196,7 +200,7 @@ class TinySlam:
         """Return the weight of the scan in the map."""
         quality = self._config.quality or DEFAULT_QUALITY[self._config.cell_model]
         if match is not None and match.moved > FAR_MOVED:
-            quality *= self._config.quality_moved
+            quality *= QUALITY_MOVED
         return quality
 
     # -- the map -------------------------------------------------------------------------------

@@ -9,11 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from slamfusion.config import LiveConfig
-from slamfusion.fusion.live.poses import LINK_M, PoseWatch
+from slamfusion.fusion.live.poses import APART_M, APART_RAD, APART_S, LINK_M, PoseWatch
 from slamfusion.geometry import Pose2
 
-LIVE = LiveConfig()
 FRAMES = {
     "a": Pose2(),
     "b": Pose2(5.0, -3.0, 1.0),
@@ -26,8 +24,8 @@ STEP_S, SPEED = 0.5, 0.5
 class Robot:
     """Drives along x in the fused frame while some inputs tell where it is."""
 
-    def __init__(self, names: str, live: LiveConfig = LIVE) -> None:
-        self.watch = PoseWatch(live)
+    def __init__(self, names: str) -> None:
+        self.watch = PoseWatch()
         self.names = names
         self.watch.place({name: FRAMES[name] for name in names})
         self.stamp_s = 100.0
@@ -60,31 +58,31 @@ def sides(limit: float) -> Iterable[tuple[float, bool]]:
     return ((0.99 * limit, False), (1.01 * limit, True))
 
 
-@pytest.mark.parametrize(("away", "is_wrong"), sides(LIVE.pose_apart_m))
+@pytest.mark.parametrize(("away", "is_wrong"), sides(APART_M))
 def test_the_odd_one_of_three_contradicts_beyond_the_distance(away: float, is_wrong: bool) -> None:
     robot = Robot("abc").together()
-    robot.drive(LIVE.pose_apart_s + 1.0, b=(away, 0.0))
+    robot.drive(APART_S + 1.0, b=(away, 0.0))
     assert robot.wrong() == ("b" if is_wrong else "")
 
 
-@pytest.mark.parametrize(("turn", "is_wrong"), sides(LIVE.pose_apart_rad))
+@pytest.mark.parametrize(("turn", "is_wrong"), sides(APART_RAD))
 def test_the_odd_one_of_three_contradicts_beyond_the_turn(turn: float, is_wrong: bool) -> None:
     robot = Robot("abc").together()
-    robot.drive(LIVE.pose_apart_s + 1.0, c=(0.0, turn))
+    robot.drive(APART_S + 1.0, c=(0.0, turn))
     assert robot.wrong() == ("c" if is_wrong else "")
 
 
 def test_a_contradiction_takes_its_time_without_a_break_and_so_does_its_end() -> None:
     robot = Robot("abc").together()
-    robot.drive(LIVE.pose_apart_s, b=(7.0, 0.0))
+    robot.drive(APART_S, b=(7.0, 0.0))
     assert robot.wrong() == ""
     robot.drive(STEP_S)
-    robot.drive(LIVE.pose_apart_s, b=(7.0, 0.0))
+    robot.drive(APART_S, b=(7.0, 0.0))
     assert robot.wrong() == "", "one pose that agreed was a break"
     robot.drive(STEP_S, b=(7.0, 0.0))
     assert robot.wrong() == "b"
     assert "of a, c: 7.0 m and 0 degrees apart" in robot.watch.contradictions()["b"]
-    robot.drive(LIVE.pose_apart_s)
+    robot.drive(APART_S)
     assert robot.wrong() == "b"
     robot.drive(STEP_S)
     assert robot.wrong() == ""
@@ -193,9 +191,7 @@ def test_what_is_farther_apart_is_never_sooner_forgiven(aways: list[float], more
 def test_the_covariance_is_the_spread_of_the_voters_poses() -> None:
     robot, noise = Robot("abc"), np.random.default_rng(3)
     alone = robot.watch.covariance("a", "a", 100.0)
-    assert np.diag(alone) == pytest.approx(
-        (LIVE.pose_apart_m**2, LIVE.pose_apart_m**2, LIVE.pose_apart_rad**2)
-    )
+    assert np.diag(alone) == pytest.approx((APART_M**2, APART_M**2, APART_RAD**2))
     deviations = np.array((0.1, 0.2, 0.03))
     for number in range(300):
         stamp_s = 100.0 + 0.03 * number

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 import math
-from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
@@ -85,19 +84,19 @@ def test_information_is_symmetric_and_positive_definite(
 def spread_of_matches(place: Place, index: int) -> tuple[F64, F64]:
     """Return (3,) the deviations of 100 matches of noisy scans, and what the response says.
 
-    From hypotheses around the truth, and with no weight on them: what the scans alone tell.
+    From hypotheses around the truth, and without weight on their places.
     """
-    config = replace(GraphConfig().matcher, prior_weight_xy=0.0, prior_weight_yaw=0.0)
+    beams = GraphConfig().matcher.beams
     pose = true_poses(120)[index]
     rng, truth = np.random.default_rng(1), np.array([pose.x, pose.y, pose.yaw_rad])
     found, told = [], []
     for seed in range(100):
         points = place.points(pose, 1000 + seed, 0.015)
-        scan = ScanOnTiles(place.device, place.submap.walls(), points, config.beams)
+        scan = ScanOnTiles(place.device, place.submap.walls(), points, beams)
         hypothesis = PoseHypothesis(
             truth + rng.normal(0.0, (0.05, 0.05, 0.02)), spread_of(0.1, 0.05)
         )
-        pose_found = search_pose(scan, [hypothesis], config, rng).pose
+        pose_found = search_pose(scan, [hypothesis], rng, trust=0.0).pose
         found.append(pose_found)
         information = place.information(Pose2(*(float(v) for v in pose_found)), points)
         told.append(np.sqrt(np.diag(np.linalg.inv(information))))
