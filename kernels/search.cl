@@ -220,22 +220,21 @@ __kernel void neighbour_scores(__global const int *points, const int count, cons
 }
 
 /* What the points meet under each pose, summed over chunks of points: partial[p, chunk] = the score,
- * points on the field, for each limit points no farther than that from a wall, and for each limit
- * points in free space that are farther. Points off the field score `base`.
- * points (count, 2) int lattice positions; poses (n, 4) long Q30, points to field;
- * field, free_cell (height, width) uchar (free_cell not 0 where free); distance2 (height, width) ushort;
+ * points on known cells, for each limit points no farther than that from a wall, and for each limit
+ * points in free space that are farther. A point scores what score_field gives there, or `base` off
+ * the map. points (count, 2) int lattice positions; poses (n, 4) long Q30, points to cells;
+ * grid (height, width) char trinary; distance2 (height, width) ushort; worths as of score_field;
  * limits2 (limits) int, squared cells, at most LIMITS_MAX; partial (n, chunks, 2 + 2 limits) int.
  * Global: (chunks, n). */
 __kernel void pose_counts(__global const int *points, const int count, __global const long *poses,
-                          const int n, __global const uchar *field,
-                          __global const ushort *distance2, __global const uchar *free_cell,
-                          const int height, const int width, const int base,
-                          __global const int *limits2, const int limits, const int chunk,
+                          const int n, __global const char *grid,
+                          __global const ushort *distance2, const int height, const int width,
+                          __global const uint *worths, const int base, __global const int *limits2, const int limits, const int chunk,
                           const int chunks, __global int *partial) {
   const int c = get_global_id(0), p = get_global_id(1);
   if (c >= chunks || p >= n) return;
   const long4 pose = vload4(p, poses);
-  int score = 0, met = 0, near[LIMITS_MAX], beyond[LIMITS_MAX];
+  int score = 0, known = 0, near[LIMITS_MAX], beyond[LIMITS_MAX];
   for (int l = 0; l < limits; l++) near[l] = beyond[l] = 0;
   const int stop = LOWER((c + 1) * chunk, count);
   for (int i = c * chunk; i < stop; i++) {
@@ -245,9 +244,10 @@ __kernel void pose_counts(__global const int *points, const int count, __global 
       continue;
     }
     const size_t at = (size_t)cell.y * width + cell.x;
-    const int d2 = distance2[at], is_free = free_cell[at] != 0;
-    score += field[at];
-    met++;
+    const int d2 = distance2[at], is_free = grid[at] == FREE;
+    const int worth = base + (ushort)worths[d2] - is_free * (int)(worths[d2] >> 16);
+    score += worth < 0 ? 0 : LOWER(worth, FIELD_ONE);
+    known += grid[at] != UNKNOWN;
     for (int l = 0; l < limits; l++) {
       const int is_near = d2 <= limits2[l];
       near[l] += is_near;
@@ -256,7 +256,7 @@ __kernel void pose_counts(__global const int *points, const int count, __global 
   }
   __global int *out = partial + (p * chunks + c) * (2 + 2 * limits);
   out[0] = score;
-  out[1] = met;
+  out[1] = known;
   for (int l = 0; l < limits; l++) {
     out[2 + l] = near[l];
     out[2 + limits + l] = beyond[l];

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Collection
 from dataclasses import replace
+from functools import lru_cache
 
 from slamfusion.align.answer import conclude
 from slamfusion.align.decide import DECISIONS, DecisionKind
@@ -23,9 +24,12 @@ from slamfusion.align.search import (
 )
 from slamfusion.align.starts import StartPose, pose_of
 from slamfusion.compute import ComputeDevice
-from slamfusion.config import AlignConfig, FusionConfig
+from slamfusion.config import AlignConfig, FusionConfig, NormalizeConfig
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
+
+# Largest grid whose features are kept for its next alignment, cells; each takes some 24 bytes.
+KEPT_CELLS = 1 << 20
 
 
 def align_grids(
@@ -48,11 +52,25 @@ def align_grids(
     """
     check_resampling([reference, moving], config.normalize, "aligning")
     resolution = common_resolution([reference, moving], config.normalize)
-    features = [
-        GridFeatures(normalize_grid(grid, resolution, config.normalize, device), device)
-        for grid in (reference, moving)
-    ]
-    return align_pair(Pair(features[0], features[1]), config.align, start)
+    still, moved = (
+        _features(grid, resolution, config.normalize, device) for grid in (reference, moving)
+    )
+    return align_pair(Pair(still, moved), config.align, start)
+
+
+def _features(
+    grid: OccupancyGrid, resolution: float, config: NormalizeConfig, device: ComputeDevice
+) -> GridFeatures:
+    """Return the features of a grid; the last small ones are kept: one truth has many maps."""
+    make = _kept if grid.cells.size <= KEPT_CELLS else _kept.__wrapped__
+    return make(grid, resolution, config, device)
+
+
+@lru_cache(maxsize=2)
+def _kept(
+    grid: OccupancyGrid, resolution: float, config: NormalizeConfig, device: ComputeDevice
+) -> GridFeatures:
+    return GridFeatures(normalize_grid(grid, resolution, config, device), device)
 
 
 def align_pair(

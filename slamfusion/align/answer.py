@@ -33,10 +33,9 @@ from slamfusion.align.hypotheses import (
 from slamfusion.align.pair import Pair
 from slamfusion.align.records import Alignment, RunnerUp
 from slamfusion.align.refine import climbed, narrow_fits, refine
-from slamfusion.align.scores import rank
+from slamfusion.align.scores import count_met, rank
 from slamfusion.align.search import CoarseSearch, SearchResult, meeting_cells, prior_within, search
 from slamfusion.align.shifts import SearchWindow
-from slamfusion.compute.search import CountedSide
 from slamfusion.config import AlignConfig
 from slamfusion.geometry import F64, Pose2, wrap_angle
 
@@ -219,16 +218,12 @@ def measure(pair: Pair, motion: F64) -> dict[str, float]:
     """
     size = pair.resolution
     limits2 = [int(max(metres / size, least) ** 2 + 1e-9) for metres, least in TOLERANCES]
-    sides = [
-        CountedSide(
-            spread_sample(own.wall_points, MEASURED_POINTS), ways, other.known,
-            other.level(1).distance2, other.level(1).free,
-        )
-        for own, ways, other in pair.sides(motion[None])
-    ]  # fmt: skip
-    counts = pair.device.pose_counts(*sides, limits2=tuple(limits2))
-    known, _, match, _, _, _, *clash = (
-        [float(own[0, k]) / len(side.points) for own, side in zip(counts, sides, strict=True)]
+    samples = [
+        spread_sample(own.wall_points, MEASURED_POINTS) for own in (pair.moving, pair.reference)
+    ]
+    counts = count_met(pair, motion[None], *samples, limits2)
+    _, known, match, _, _, _, *clash = (
+        [float(own[0, k]) / len(sample) for own, sample in zip(counts, samples, strict=True)]
         for k in range(counts[0].shape[1])
     )
     chance = [other.near_wall_share(limits2[0]) for other in pair]

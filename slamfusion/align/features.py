@@ -168,8 +168,7 @@ class GridFeatures:
     def release(self) -> None:
         """Release what takes memory; it is computed again at next use."""
         self._made = {key: made for key, made in self._made.items() if key[0] in SMALL}
-        for name in ("cells", "known"):
-            self.__dict__.pop(name, None)
+        self.__dict__.pop("cells", None)
         if self._memory is not None:
             self._memory.forget(self)
 
@@ -198,12 +197,7 @@ class GridFeatures:
     @cached_property
     def wall_points(self) -> npt.NDArray[np.int32]:
         """The solid wall cells, surface or not: lattice positions (N, 2) int32 in half cells."""
-        return _lattice_points(self.grid.solid != 0)
-
-    @cached_property
-    def known(self) -> DeviceArray[Any]:
-        """(H, W) uint8 on the device, 1 where known."""
-        return self.device.upload((self.grid.cells >= 0).astype(np.uint8))
+        return _lattice_points(self.grid.solid)
 
     @_kept
     def near_wall_share(self, near2: int) -> float:
@@ -213,11 +207,15 @@ class GridFeatures:
         return near / max(1, self.known_cells)
 
     @_kept
-    def _surface(self) -> DeviceArray[Any]:
-        """Return the surface walls; all solid walls where none touches free space."""
+    def _surface(self) -> tuple[DeviceArray[Any], npt.NDArray[np.int32]]:
+        """Return the surface walls, and their points; all solid walls where none is next to free.
+
+        See ``Level``.
+        """
         solid = self.device.upload(self.grid.solid)
         surface = self.device.surface_walls(self.cells, solid)
-        return surface if self.device.download(surface).any() else solid
+        points = _lattice_points(self.device.download(surface))
+        return (surface, points) if len(points) else (solid, self.wall_points)
 
     def level(self, step: int) -> Level:
         """Return the grid at ``step`` fine cells a cell."""
@@ -228,28 +226,32 @@ class GridFeatures:
 
     @_kept
     def _level(self, step: int) -> Level:
-        wall = self._surface()
+        wall, points = self._surface()
         if step == 1:
-            free = self.device.upload((self.grid.cells == 0).astype(np.uint8) * np.uint8(255))
-        else:
-            wall, free = self.device.shrink(wall, self.cells, step)
-        return self._level_of(step, wall, free, DISTANCE_MAX)
+            free = self.device.upload((self.grid.cells == 0).view(np.uint8) * np.uint8(FIELD_ONE))
+            return self._level_of(step, wall, free, points)
+        wall, free = self.device.shrink(wall, self.cells, step)
+        return self._level_of(step, wall, free, _lattice_points(self.device.download(wall)))
 
     @_kept
     def solid_level(self) -> Level:
         """Return the finest level with every solid wall cell, not only the surfaces."""
-        free = self.level(1).free
-        return self._level_of(1, self.device.upload(self.grid.solid), free, SOLID_REACH)
+        wall, points = self.device.upload(self.grid.solid), self.wall_points
+        return self._level_of(1, wall, self.level(1).free, points, SOLID_REACH)
 
     def _level_of(
-        self, step: int, wall: DeviceArray[Any], free: DeviceArray[Any], reach: int
+        self,
+        step: int,
+        wall: DeviceArray[Any],
+        free: DeviceArray[Any],
+        points: npt.NDArray[np.int32],
+        reach: int = DISTANCE_MAX,
     ) -> Level:
         """Return the level of walls; distances are known up to ``reach``, cells."""
         distance2 = self.device.distance_squared(wall, reach)
-        mask = self.device.download(wall)
-        points = _lattice_points(mask != 0)
         seen = max(SEEN_CELLS_MIN, SEEN_M / (self.grid.grid.resolution * step))
-        return Level(step, mask.shape, wall, free, distance2, points, seen, self.device)
+        height, width = wall.shape
+        return Level(step, (height, width), wall, free, distance2, points, seen, self.device)
 
     def chance(self, step: int, sigma: float) -> float:
         """Return the mean of ``likelihood.likeness`` over the known cells of a level, 0..1.
@@ -359,11 +361,13 @@ def _sums_by_distance(
     return sums
 
 
-def _lattice_points(mask: npt.NDArray[np.bool_]) -> npt.NDArray[np.int32]:
-    """Return the centres of the set cells, x and y in half cells, in raster order."""
-    cells = np.flatnonzero(mask)
+def _lattice_points(mask: npt.NDArray[np.uint8]) -> npt.NDArray[np.int32]:
+    """Return the centres of the cells that are 1, x and y in half cells, in raster order."""
+    # Of booleans NumPy finds the set ones eight at once.
+    cells = np.flatnonzero(mask.view(np.bool_)).astype(np.int32)
+    rows = cells // np.int32(mask.shape[1])
     points = np.empty((len(cells), 2), dtype=np.int32)
-    points[:, 1], points[:, 0] = np.divmod(cells, mask.shape[1])
+    points[:, 0], points[:, 1] = cells - rows * mask.shape[1], rows
     return 2 * points + 1
 
 
@@ -376,6 +380,8 @@ def _without_rims(grid: NormalizedGrid) -> NormalizedGrid:
     free, solid = (grid.cells == 0).view(np.uint8), grid.solid != 0
     beside_free = cv2.dilate(free, around) != 0
     rims = (grid.cells < 0) & beside_free & (cv2.dilate(solid.view(np.uint8), around) != 0)
+    if not rims.any():
+        return grid
     cleared = cv2.dilate(free | rims.view(np.uint8), around) != 0
     if np.count_nonzero(solid & cleared) <= SOFT_GAIN * np.count_nonzero(solid & beside_free):
         return grid

@@ -152,10 +152,9 @@ def normalize_grid(
         GridError: no cell of the grid is known under these thresholds.
     """
     given, grid = grid, _without_margins(grid, config)
-    cells = device.upload(trinary_cells(grid.cells, config))
-    solid = device.download(device.solid_walls(cells))
-    del cells
-    voting, box = _voting_part(given, grid, resolution, config, device)
+    cells = trinary_cells(grid.cells, config)
+    solid = device.download(device.solid_walls(device.upload(cells)))
+    voting, box = _voting_part(given, grid, resolution, config, device, cells)
     blocks = _blocks(solid.view(np.int8), resolution / grid.resolution, 0, device)
     window = np.s_[box.row0 : box.row1, box.col0 : box.col1]
     walls = (_each_part(np.maximum, blocks)[window] != 0) & (voting.cells == 1)
@@ -195,10 +194,15 @@ def _voting_part(
     resolution: float,
     config: NormalizeConfig,
     device: ComputeDevice,
+    cells: npt.NDArray[np.int8] | None = None,
 ) -> tuple[VotingGrid, CellBox]:
-    """Return the voting grid of ``given``, and its box in the resampled ``grid``."""
+    """Return the voting grid of ``given``, and its box in the resampled ``grid``.
+
+    ``cells`` are those of ``grid`` as classes, where they are known.
+    """
     resampled = _resample(grid, resolution, config, device)
-    cells = trinary_cells(resampled.cells, config)
+    if cells is None or resampled is not grid:
+        cells = trinary_cells(resampled.cells, config)
     box = known_box(cells)
     if box is None:
         raise _nothing_known(given, config)

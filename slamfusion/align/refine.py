@@ -13,8 +13,8 @@ import numpy as np
 
 from slamfusion.align.features import spread_sample
 from slamfusion.align.pair import Pair, both_ways, turned_about
-from slamfusion.align.scores import GOOD_DOUBT, score_motions
-from slamfusion.compute.search import CountedSide, FitSide
+from slamfusion.align.scores import GOOD_DOUBT, count_met, score_motions
+from slamfusion.compute.search import FitSide
 from slamfusion.geometry import F64
 
 REFINE_POINTS = 768
@@ -146,14 +146,10 @@ def are_as_thick(pair: Pair) -> bool:
 
 def _surface_distance(pair: Pair, motions: F64) -> F64:
     """Return (P,) the median distance in cells, rounded up, of surfaces with one within 8 cells."""
-    sides = [
-        CountedSide(
-            spread_sample(own.level(1).points, SPREAD_POINTS), ways, other.level(1).free,
-            other.level(1).distance2, other.level(1).free,
-        )
-        for own, ways, other in pair.sides(motions)
-    ]  # fmt: skip
-    counts = pair.device.pose_counts(*sides, limits2=[r * r for r in (*SURFACE_RADII, 8)])
+    samples = [
+        spread_sample(own.level(1).points, SPREAD_POINTS) for own in (pair.moving, pair.reference)
+    ]
+    counts = count_met(pair, motions, *samples, [r * r for r in (*SURFACE_RADII, 8)])
     near = (counts[0] + counts[1])[:, 2 : 3 + len(SURFACE_RADII)].T
     reached = 2.0 * near[:-1] >= near[-1]
     reached[-1] = True

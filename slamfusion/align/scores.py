@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from slamfusion.align.features import FIELD_TOP, FINE_TABLE, GridFeatures, spread_sample
 from slamfusion.align.pair import Pair
-from slamfusion.compute.arrays import I32
+from slamfusion.compute.arrays import I32, I64
 from slamfusion.compute.layout import FIXED_ONE
 from slamfusion.compute.search import STEPS, CountedSide, ScoredSide
 from slamfusion.compute.wall_pieces import PieceSide
@@ -99,7 +99,7 @@ class WallPieces:
         windows = values
         if self.alike > 1:
             index, starts = self._windows
-            windows = np.add.reduceat(values[..., index], starts, axis=-1)
+            windows = np.add.reduceat(values.take(index, axis=-1), starts, axis=-1)
         squares = np.sum(windows * windows, axis=-1) / self.alike**2 + noise
         total = values.sum(axis=-1)
         return np.asarray(total * np.abs(total) / np.where(squares > 0.0, squares, 1.0))
@@ -142,7 +142,9 @@ def wall_pieces(
         np.concatenate(most, axis=1),
         np.concatenate(share_most, axis=1),
         np.asarray(seen_m[0] + seen_m[1]),
-        np.concatenate([np.insert(own, 0, k, axis=1) for k, own in enumerate(squares)]),
+        np.concatenate(
+            [np.column_stack((np.full(len(own), k), own)) for k, own in enumerate(squares)]
+        ),
     )
 
 
@@ -259,16 +261,29 @@ def _summed(values: list[I32], sides: list[ScoredSide], units: list[float]) -> F
 
 def rank(pair: Pair, motions: F64) -> F64:
     """Return the symmetric wall score (P,) of motions; 1 for identical maps."""
-    sides, weights = [], []
-    for own, ways, other in pair.sides(motions):
-        level, walls = other.level(1), own.level(1).points
-        sample, field = spread_sample(walls, SCORED_POINTS), other.field(1, FINE_TABLE)
-        sides.append(CountedSide(sample, ways, field, level.distance2, level.free, FINE_TABLE.base))
-        weights.append(len(walls))
+    walls = [own.level(1).points for own in (pair.moving, pair.reference)]
+    samples = [spread_sample(points, SCORED_POINTS) for points in walls]
     total = np.zeros(len(motions))
-    for counts, side, weight in zip(pair.device.pose_counts(*sides), sides, weights, strict=True):
-        total += (counts[:, 0] / len(side.points) - side.base) / FINE_TABLE.span * weight
-    return total / float(sum(weights))
+    for counts, sample, points in zip(
+        count_met(pair, motions, *samples), samples, walls, strict=True
+    ):
+        score = (counts[:, 0] / len(sample) - FINE_TABLE.base) / FINE_TABLE.span
+        total += score * len(points)
+    return total / float(sum(map(len, walls)))
+
+
+def count_met(
+    pair: Pair, motions: F64, moving: I32, reference: I32, limits2: Sequence[int] = ()
+) -> list[I64]:
+    """Return what points (N, 2) of each map meet on the other, see ``pose_counts``."""
+    sides = [
+        CountedSide(points, ways, other.cells, other.level(1).distance2)
+        for points, (_, ways, other) in zip((moving, reference), pair.sides(motions), strict=True)
+    ]
+    table = FINE_TABLE
+    return pair.device.pose_counts(
+        *sides, hit=table.hit, miss=table.miss, base=table.base, limits2=limits2
+    )
 
 
 def walls_found(pair: Pair, motions: F64, sigma: float, scales: F64, points: int) -> F64:

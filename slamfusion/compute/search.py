@@ -11,12 +11,14 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from slamfusion.compute.arrays import F32, F64, I32, I64, ArrayDevice, DeviceArray, host
+from slamfusion.compute.arrays import F32, F64, I32, I64, U16, ArrayDevice, DeviceArray, host
 from slamfusion.compute.lattice import PointPlanes, fixed_cells, narrow_motions, narrowed
 from slamfusion.compute.layout import (
     DISTANCE_ONE,
     DISTANCE_UNSEEN,
+    FIELD_ONE,
     FIXED_TO_CELL_SHIFT,
+    FREE,
     NEIGHBOURS,
     REFINE_TERMS,
     SHIFT_LANES,
@@ -48,23 +50,19 @@ class ScoredSide(NamedTuple):
 
 
 class CountedSide(NamedTuple):
-    """Walls of one map on the fields of the other.
+    """Walls of one map on the other.
 
     Attributes:
         points: (N, 2) int32 lattice positions, x and y in half cells.
         motions: (4, P) as of ``ScoredSide``.
-        field: (H, W) uint8 on the device.
+        cells: (H, W) int8 on the device, in {-1, 0, 1}.
         distance2: (H, W) uint16 on the device, squared cells to the nearest wall.
-        free: (H, W) uint8 on the device, not 0 where free.
-        base: worth of a point off the field.
     """
 
     points: I32
     motions: F64
-    field: DeviceArray[np.uint8]
+    cells: DeviceArray[np.int8]
     distance2: DeviceArray[np.uint16]
-    free: DeviceArray[np.uint8]
-    base: int = 0
 
 
 class FitSide(NamedTuple):
@@ -107,10 +105,10 @@ def _narrow_scores(side: ScoredSide, motions: F64, drop: int) -> I32:
     return out
 
 
-def _pose_counts(side: CountedSide, limits2: Sequence[int]) -> I64:
+def _pose_counts(side: CountedSide, hit: U16, miss: U16, base: int, limits2: Sequence[int]) -> I64:
     """Return what one side meets; see ``SearchDevice.pose_counts``."""
-    field, distance2, free = host(side.field), host(side.distance2), host(side.free)
-    height, width = field.shape
+    cells, distance2 = host(side.cells), host(side.distance2)
+    height, width = cells.shape
     limits = np.array(limits2, dtype=np.int64)[:, None]
     out = np.zeros((side.motions.shape[1], 2 + 2 * len(limits2)), dtype=np.int64)
     x2, y2 = side.points.T.astype(np.int64)
@@ -118,10 +116,11 @@ def _pose_counts(side: CountedSide, limits2: Sequence[int]) -> I64:
         row, col = fixed_cells(pose, x2, y2)
         inside = (row >= 0) & (col >= 0) & (row < height) & (col < width)
         at = row[inside], col[inside]
-        is_near = distance2[at] <= limits
-        away = side.base * (len(x2) - len(at[0]))
-        out[p, :2] = field[at].sum(dtype=np.int64) + away, len(at[0])
-        out[p, 2:] = [*is_near.sum(axis=1), *(~is_near & (free[at] != 0)).sum(axis=1)]
+        is_near, is_free = distance2[at] <= limits, cells[at] == FREE
+        worth = base + hit[distance2[at]].astype(np.int64) - is_free * miss[distance2[at]]
+        away = base * (len(x2) - len(worth))
+        out[p, :2] = np.clip(worth, 0, FIELD_ONE).sum() + away, np.sum(cells[at] != UNKNOWN)
+        out[p, 2:] = [*is_near.sum(axis=1), *(~is_near & is_free).sum(axis=1)]
     return out
 
 
@@ -342,25 +341,30 @@ class SearchDevice(ArrayDevice):
         places = row * width + np.arange(cols) * tile + best % tile
         return tiles.max(axis=3), places.astype(np.int32)
 
-    def pose_counts(self, *sides: CountedSide, limits2: Sequence[int] = ()) -> list[I64]:
+    def pose_counts(
+        self, *sides: CountedSide, hit: U16, miss: U16, base: int, limits2: Sequence[int] = ()
+    ) -> list[I64]:
         """Return what the points of each side meet under each of its motions.
 
-        ``limits2`` are up to ``LIMITS_MAX`` squared distances in cells.
+        Args:
+            hit, miss, base: the worth of a point, as of ``score_field``, or ``base`` off the map.
+            limits2: up to ``LIMITS_MAX`` squared distances in cells.
 
         Returns:
-            (P, 2 + 2 L) int64: score, points on the field, for each limit the points no farther
+            (P, 2 + 2 L) int64: worth, points on known cells, for each limit the points no farther
             from a wall, and for each limit the points in free space that are farther.
         """
         if not self.opencl:
-            return [_pose_counts(side, limits2) for side in sides]
+            return [_pose_counts(side, hit, miss, base, limits2) for side in sides]
         started, given = [], self.upload(np.array([*limits2, 0], dtype=np.int32))
-        for points, motions, field, distance2, free, base in sides:
+        worths = self.opencl.table(hit.astype(np.uint32) | miss.astype(np.uint32) << 16)
+        for points, motions, cells, distance2 in sides:
             poses = motions.T.astype(np.int64)
             n, chunks = len(poses), -(-len(points) // CHUNK_POINTS)
             partial = self.opencl.empty((n, chunks, 2 + 2 * len(limits2)), np.int32)
             self.opencl.launch(
                 "pose_counts", (chunks, n), self.upload(points), len(points), self.upload(poses), n,
-                field, distance2, free, *field.shape, base, given, len(limits2), CHUNK_POINTS,
+                cells, distance2, *cells.shape, worths, base, given, len(limits2), CHUNK_POINTS,
                 chunks, partial,
             )  # fmt: skip
             started.append(partial)

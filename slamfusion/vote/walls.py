@@ -177,15 +177,16 @@ def _is_shown(known: U8, ways: U8, reach: int) -> npt.NDArray[np.bool_]:
 
 def _spread(bits: U8, axis: int, reach: int) -> U8:
     """Return the bits of all cells up to ``reach`` cells away along an axis, in each cell."""
-    margin = [(0, 0), (0, 0)]
-    margin[axis] = (reach, reach)
-    out = np.moveaxis(np.pad(bits, margin), axis, 0)
+    shape, before = list(bits.shape), (slice(None),) * axis
+    shape[axis] += 2 * reach
+    out = np.zeros(shape, dtype=np.uint8)
+    out[(*before, slice(reach, -reach))] = bits
     width, wanted = 1, 2 * reach + 1
     while width < wanted:
         step = min(width, wanted - width)
-        out = out[:-step] | out[step:]
+        out = out[(*before, slice(None, -step))] | out[(*before, slice(step, None))]
         width += step
-    return np.moveaxis(out, 0, axis)
+    return out
 
 
 def _disc(radius: float) -> U8:

@@ -56,10 +56,15 @@ def _distance_squared(device: ComputeDevice, sample: Sample) -> Arrays:
     return fetch(device, [device.distance_squared(walls, reach) for reach in reaches])
 
 
-def _score_field(device: ComputeDevice, sample: Sample) -> Arrays:
+def _worths() -> tuple[npt.NDArray[np.uint16], npt.NDArray[np.uint16]]:
+    """Return what a wall point gains and loses by squared distance."""
     d2 = np.arange(DISTANCE2_MAX + 1)
     hit = np.rint(191 * np.exp(-d2 / 18.0)).astype(np.uint16)
-    miss = np.minimum(d2, BASE).astype(np.uint16)
+    return hit, np.minimum(d2, BASE).astype(np.uint16)
+
+
+def _score_field(device: ComputeDevice, sample: Sample) -> Arrays:
+    hit, miss = _worths()
     share = device.upload(sample.field)
     field = device.score_field(device.upload(sample.distance2), share, hit, miss, BASE)
     return fetch(device, [field])
@@ -134,17 +139,14 @@ def _tile_peaks(device: ComputeDevice, sample: Sample) -> Arrays:
 
 
 def _pose_counts(device: ComputeDevice, sample: Sample) -> Arrays:
-    fields = (
-        device.upload(sample.field),
-        device.upload(sample.distance2),
-        device.upload(sample.free),
-    )
+    fields = device.upload(sample.cells), device.upload(sample.distance2)
     motions = fixed_poses(sample.motions).T.astype(np.float64)
-    sides = [CountedSide(sample.points(count), motions, *fields, BASE) for count in (1, 150)]
+    sides = [CountedSide(sample.points(count), motions, *fields) for count in (1, 150)]
+    hit, miss = _worths()
     return [
         counts
         for limits2 in ((), (9, 16), (1, 4, 9, 16, 64))
-        for counts in device.pose_counts(*sides, limits2=limits2)
+        for counts in device.pose_counts(*sides, hit=hit, miss=miss, base=BASE, limits2=limits2)
     ]
 
 
