@@ -125,6 +125,11 @@ class Level:
         return self.device.look_up_where(self.distance2, self.free, DISTANCE_TABLE, unseen)
 
     @cached_property
+    def host_distance2(self) -> npt.NDArray[np.uint16]:
+        """(H, W) ``distance2`` on the host."""
+        return self.device.download(self.distance2)
+
+    @cached_property
     def far_distance(self) -> DeviceArray[Any]:
         """(H, W) uint16, 1/256 cell, in unseen cells too."""
         tables = DISTANCE_TABLE, DISTANCE_TABLE
@@ -202,9 +207,13 @@ class GridFeatures:
     @_kept
     def near_wall_share(self, near2: int) -> float:
         """Return the share of known cells within this squared distance (cells) of a wall."""
-        distance2 = self.device.download(self.level(1).distance2)
-        near = np.count_nonzero((distance2 <= near2) & (self.grid.cells >= 0))
+        near = self.level(1).host_distance2 <= near2
+        near = np.count_nonzero(near & (self.grid.cells >= 0))
         return near / max(1, self.known_cells)
+
+    @_kept
+    def _solid(self) -> DeviceArray[Any]:
+        return self.device.upload(self.grid.solid)
 
     @_kept
     def _surface(self) -> tuple[DeviceArray[Any], npt.NDArray[np.int32]]:
@@ -212,7 +221,7 @@ class GridFeatures:
 
         See ``Level``.
         """
-        solid = self.device.upload(self.grid.solid)
+        solid = self._solid()
         surface = self.device.surface_walls(self.cells, solid)
         points = _lattice_points(self.device.download(surface))
         return (surface, points) if len(points) else (solid, self.wall_points)
@@ -236,8 +245,8 @@ class GridFeatures:
     @_kept
     def solid_level(self) -> Level:
         """Return the finest level with every solid wall cell, not only the surfaces."""
-        wall, points = self.device.upload(self.grid.solid), self.wall_points
-        return self._level_of(1, wall, self.level(1).free, points, SOLID_REACH)
+        free = self.level(1).free
+        return self._level_of(1, self._solid(), free, self.wall_points, SOLID_REACH)
 
     def _level_of(
         self,
@@ -266,7 +275,7 @@ class GridFeatures:
     def _known_at_distance(self, step: int) -> npt.NDArray[np.float64]:
         """Return (N,) the known cells of a level by squared distance to a wall."""
         level = self.level(step)
-        distance2 = self.device.download(level.distance2)
+        distance2 = level.host_distance2
         if step == 1:
             is_known = self.grid.cells == 0
             is_known[level.points[:, 1] // 2, level.points[:, 0] // 2] = True
@@ -296,7 +305,7 @@ class GridFeatures:
         first = np.unique(squares[order], return_index=True)[1]
         starts = np.append(first, len(points)).astype(np.int32)
         points = points.take(order, axis=0)
-        sides = self.device.download(self.facing())[points[:, 1] // 2, points[:, 0] // 2]
+        sides = self._facings()[points[:, 1] // 2, points[:, 0] // 2]
         return PointPieces(*map(self.device.upload, (points, starts, sides)))
 
     @_kept
@@ -311,15 +320,16 @@ class GridFeatures:
         """Return the evidence of walls of a width in cells, and what their pieces look up."""
         table = self.evidence_table(1, sigma, FIELD_TOP)
         words = self.device.piece_words(
-            self.field(1, table), self.level(1).distance2, self.cells, self.facing(),
-            base=table.base, span=table.span, near2=int((2.0 * sigma) ** 2),
+            self.field(1, table), self.level(1).distance2, self.cells,
+            self.device.upload(self._facings()), base=table.base, span=table.span,
+            near2=int((2.0 * sigma) ** 2),
         )  # fmt: skip
         return table, words
 
     @_kept
-    def facing(self) -> DeviceArray[Any]:
-        """Return (H, W) uint8 on the device, where free space lies, see ``facings``."""
-        return self.device.upload(facings(self.grid.cells, self.grid.grid.resolution))
+    def _facings(self) -> npt.NDArray[np.uint8]:
+        """Return (H, W) uint8 where free space lies, see ``facings``."""
+        return facings(self.grid.cells, self.grid.grid.resolution)
 
     @_kept
     def directions(self) -> npt.NDArray[np.float64]:

@@ -360,7 +360,7 @@ def _distances2(own: GridFeatures, motion: F64, other: GridFeatures) -> npt.NDAr
     height, width = other.shape
     inside = (rows >= 0) & (cols >= 0) & (rows < height) & (cols < width)
     at = rows[inside], cols[inside]
-    distance2 = other.device.download(other.level(1).distance2)
+    distance2 = other.level(1).host_distance2
     return np.bincount(distance2[at][other.grid.cells[at] >= 0], minlength=1)
 
 

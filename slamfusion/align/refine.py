@@ -228,6 +228,6 @@ def common_walls(pair: Pair, motion: F64, sigma: float) -> F64:
     height, width = pair.reference.shape
     inside = (x >= 0) & (y >= 0) & (x < width) & (y < height)
     x, y = x[inside], y[inside]
-    distance2 = pair.device.download(pair.reference.level(1).distance2)
+    distance2 = pair.reference.level(1).host_distance2
     near = distance2[y.astype(np.int64), x.astype(np.int64)] <= sigma * sigma
     return np.column_stack((x[near], y[near]))

@@ -40,15 +40,15 @@ class AlignmentTasks:
             executor: None: two threads, on the device of the maps.
             align: called with a pair and its ``start``; ``align_pair`` with its settings.
         """
-        self._executor, self._align = executor, align
-        self._threads = ThreadPoolExecutor(THREADS)
+        self._is_here, self._align = executor is None, align
+        self._executor = executor or ThreadPoolExecutor(THREADS)
         self._packed: dict[str, Packed] = {}
         self._tasks: dict[tuple[str, str], Future[Alignment]] = {}
 
     @property
     def ahead(self) -> int:
         """The number of pairs worth starting in advance, now."""
-        return THREADS if self._executor is None else tasks_ahead(self._executor)
+        return THREADS if self._is_here else tasks_ahead(self._executor)
 
     def begin(self, pair: Pair, start: StartPose | None) -> None:
         """Start a pair if it was not started yet."""
@@ -60,15 +60,16 @@ class AlignmentTasks:
         return self._task(pair, start).result()
 
     def close(self) -> None:
-        """Cancel what no one waits for."""
-        self._threads.shutdown(cancel_futures=True)
+        """End the own threads, and cancel what no one waits for."""
+        if self._is_here:
+            self._executor.shutdown(cancel_futures=True)
 
     def _task(self, pair: Pair, start: StartPose | None) -> Future[Alignment]:
         """Return the task of a pair; start it if it was not started yet."""
         key = pair.reference.grid.name, pair.moving.grid.name
         if key not in self._tasks:
-            if self._executor is None:
-                task = self._threads.submit(self._align, pair, start=start)
+            if self._is_here:
+                task = self._executor.submit(self._align, pair, start=start)
             else:
                 one, other = (self._pack(features.given) for features in pair)
                 task = self._executor.submit(

@@ -1,7 +1,8 @@
 """Time alignment, vote and the batch of [F16]: ``python -m tests.benchmarks.bench_speed``.
 
 Seconds of one machine say little about another, so each row also shows a baseline of the same run:
-the NumPy twins, a copy of memory. Everything is drawn from fixed seeds.
+the NumPy twins, a copy of memory. What a device has to do is the same on any: a second table counts
+it, as for one with memory of its own, such as a GPU. Everything is drawn from fixed seeds.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from statistics import median
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from rich.table import Table
 
 from slamfusion.align.align import track_pair
@@ -21,11 +23,15 @@ from slamfusion.align.features import GridFeatures
 from slamfusion.align.normalize import normalize_grid
 from slamfusion.align.pair import Pair
 from slamfusion.compute import ComputeDevice, NumpyDevice, open_device
-from slamfusion.config import FusionConfig
+from slamfusion.compute.arrays import DeviceArray, Scalar
+from slamfusion.compute.opencl import OpenCLArray, OpenCLDevice
+from slamfusion.config import FusionConfig, RunConfig
 from slamfusion.fusion import align_grids, fuse_grids
 from slamfusion.geometry import Pose2
 from slamfusion.grid import CellBox, OccupancyGrid
-from slamfusion.sim import draw_building
+from slamfusion.sim import draw_building, named_course, simulate
+from slamfusion.slam.common.runner import run_producer
+from slamfusion.slam.registry import BUILT_IN, make_producer, producer
 from slamfusion.vote.tiles import vote_grids
 from tests.benchmarks.record import add_record_option, console_for
 from tests.support.degrade import Degradation, degrade_map
@@ -34,6 +40,7 @@ SEED = 2016
 RESOLUTION = 0.05
 CONFIG = FusionConfig()
 TRIOS = 6
+SCANS = 400
 
 
 def main() -> None:
@@ -55,13 +62,22 @@ def main() -> None:
         time_batch(device, options.side // 2, max(1, options.runs // 2)),
     ):
         table.add_row(*row)
-    console_for("speed", options.record, width=160).print(table)
+    console = console_for("speed", options.record, width=160)
+    console.print(table)
+    if not isinstance(device, NumpyDevice):
+        console.print(count_work(options.side))
 
 
 def time_alignment(device: ComputeDevice, side: int, runs: int) -> list[tuple[str, ...]]:
     """Search over all yaws, then track a new moving map from a transform some cells off."""
     reference, moving, truth = draw_pair(side)
-    searched = seconds(lambda: align_grids(reference, moving, CONFIG, device), runs)
+    # Under another name a grid is another one, so that no features are kept.
+    searched = seconds(
+        lambda: align_grids(
+            reference.with_name("still"), moving.with_name("moved"), CONFIG, device
+        ),
+        runs,
+    )
     start = Pose2(0.1, -0.05, math.radians(1.0)).compose(truth)
     held = prepare(reference, device)
     tracked = seconds(lambda: track_pair(Pair(held, prepare(moving, device)), start), runs)
@@ -153,6 +169,68 @@ def draw_map(
 def prepare(grid: OccupancyGrid, device: ComputeDevice) -> GridFeatures:
     """Normalise a grid and hand it to the device."""
     return GridFeatures(normalize_grid(grid, RESOLUTION, CONFIG.normalize, device), device)
+
+
+class CountingDevice(OpenCLDevice):
+    """A device that counts its work, and shares no memory with the host.
+
+    Attributes:
+        work: kernels started, their work items, bytes sent and fetched, and how often the host
+            waited for the device.
+    """
+
+    def __init__(self, *, small_kernels: bool = False) -> None:
+        super().__init__(small_kernels=small_kernels)
+        self.shares_memory, self.work = False, np.zeros(5)
+
+    def launch(self, name: str, size: tuple[int, ...], *arguments: Any) -> None:
+        self.work += (1, math.prod(size), 0, 0, 0)
+        super().launch(name, size, *arguments)
+
+    def upload(self, array: npt.NDArray[Scalar]) -> OpenCLArray[Scalar]:
+        self.work += (0, 0, array.nbytes, 0, 0)
+        return super().upload(array)
+
+    def download(self, handle: DeviceArray[Scalar]) -> npt.NDArray[Scalar]:
+        self.work += (0, 0, 0, handle.size * handle.dtype.itemsize, 1)
+        return super().download(handle)
+
+    def map_host(self, handle: OpenCLArray[Any], array: npt.NDArray[Any]) -> None:
+        self.work += (0, 0, 0, array.nbytes, 1)
+        super().map_host(handle, array)
+
+    def first(self, handle: DeviceArray[Any]) -> int:
+        self.work += (0, 0, 0, handle.dtype.itemsize, 1)
+        return super().first(handle)
+
+
+def count_work(side: int) -> Table:
+    """Return what a device has to do for an alignment, and for a scan of each SLAM."""
+    heads = ("launches", "1000 items", "kB sent", "kB fetched", "waits")
+    table = Table("work", *heads, title="what a device does")
+
+    def count(work: str, device: CountingDevice, times: int) -> None:
+        launches, items, sent, fetched, waits = device.work / times
+        table.add_row(
+            work, f"{launches:.1f}", f"{items / 1e3:.1f}", f"{sent / 1e3:.1f}",
+            f"{fetched / 1e3:.1f}", f"{waits:.1f}",
+        )  # fmt: skip
+
+    device = CountingDevice()
+    reference, moving, truth = draw_pair(side)
+    align_grids(reference, moving, CONFIG, device)
+    count(f"align {side} x {side}, +-180 degrees", device, 1)
+    held = prepare(reference, device)
+    track_pair(Pair(held, prepare(moving, device)), truth)
+    device.work[:] = 0.0
+    track_pair(Pair(held, prepare(moving, device)), truth)
+    count(f"align {side} x {side}, tracked", device, 1)
+    scans = simulate(named_course("office", SEED), open_device()).scans[:SCANS]
+    for name in BUILT_IN:
+        device = CountingDevice(small_kernels=producer(name).prefers_small_kernels)
+        run_producer(make_producer(name, RunConfig(), device), scans)
+        count(f"a scan of {name}, mean of {SCANS}, {len(scans[0].scan)} beams", device, len(scans))
+    return table
 
 
 def seconds(work: Callable[[], Any], runs: int) -> float:
