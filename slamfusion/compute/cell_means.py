@@ -98,18 +98,10 @@ def _valley_words(beams: I32, rule: ScanRule) -> tuple[I64, I64, I64, I64]:
     A beam is walked from behind its hit (step 0) to the laser, one cell of the longer axis a step.
     """
     hit_x, hit_y, laser_x, laser_y, length, ridge = beams.astype(np.int64).T
-    dx, dy = laser_x - hit_x, laser_y - hit_y
-    longest = np.maximum(np.abs(dx), np.abs(dy))
-    m = np.maximum(longest, 1)
-    step_x = np.abs(dx) * (1 << WALK_SHIFT) // m * np.where(dx < 0, -1, 1)
-    step_y = np.abs(dy) * (1 << WALK_SHIFT) // m * np.where(dy < 0, -1, 1)
-    step = length * (1 << WALK_SHIFT) // m
+    longest = np.maximum(np.abs(laser_x - hit_x), np.abs(laser_y - hit_y))
+    step = length * (1 << WALK_SHIFT) // np.maximum(longest, 1)
     reach = np.where(step > 0, (rule.half_blur << WALK_TO_BEAM_SHIFT) // np.maximum(step, 1), 0)
-    counts = reach + (longest >> BEAM_SHIFT) + 1
-    beam = np.repeat(np.arange(len(beams)), counts)
-    i = np.arange(len(beam)) - np.repeat(np.cumsum(counts) - counts, counts) - reach[beam]
-    col = ((hit_x[beam] << WALK_TO_BEAM_SHIFT) + i * step_x[beam]) >> WALK_SHIFT
-    row = ((hit_y[beam] << WALK_TO_BEAM_SHIFT) + i * step_y[beam]) >> WALK_SHIFT
+    beam, row, col, i = walk_cells((hit_x, hit_y), (laser_x, laser_y), reach)
     away = (np.abs(i) * step[beam]) >> WALK_TO_BEAM_SHIFT
     rise = np.maximum(ridge[beam] - rule.free, 0) * (rule.half_blur - away)
     value = rule.free + np.where(away < rule.half_blur, rise // max(1, rule.half_blur), 0)
@@ -122,8 +114,8 @@ def _valley_words(beams: I32, rule: ScanRule) -> tuple[I64, I64, I64, I64]:
 def _likelihood_words(beams: I32, rule: LikelihoodRule) -> tuple[I64, I64, I64, I64]:
     """Return the same; passed cells get the value of no hit nearby."""
     hits, lasers = beams[:, :2].astype(np.int64), beams[:, 2:].astype(np.int64)
-    beam, row, col = walk_cells((hits[:, 0], hits[:, 1]), (lasers[:, 0], lasers[:, 1]))
-    passed = np.diff(beam, prepend=-1) == 0
+    beam, row, col, step = walk_cells((hits[:, 0], hits[:, 1]), (lasers[:, 0], lasers[:, 1]))
+    passed = step > 0
     around = np.arange(-rule.reach, rule.reach + 1)
     rows, cols = (axis.ravel() for axis in np.meshgrid(around, around, indexing="ij"))
     near_col, near_row = (hits[:, :1] >> BEAM_SHIFT) + cols, (hits[:, 1:] >> BEAM_SHIFT) + rows

@@ -165,7 +165,7 @@ def _walks(scan: BeamScan, shape: tuple[int, ...]) -> tuple[I64, I64, I64]:
     laser_x, laser_y = _placed(scan, scan.laser[None], shape)
     laser_x, laser_y = np.broadcast_arrays(laser_x, laser_y, end_x)[:2]
     lasers = laser_x.ravel(), laser_y.ravel()
-    beam, row, col = walk_cells((end_x.ravel(), end_y.ravel()), lasers)
+    beam, row, col, _ = walk_cells((end_x.ravel(), end_y.ravel()), lasers)
     return beam // max(1, len(scan.ends)), row, col
 
 

@@ -28,25 +28,28 @@ from slamfusion.compute.layout import (
 Scalar = TypeVar("Scalar", bound=np.generic)
 
 
-def walk_cells(ends: tuple[I64, I64], lasers: tuple[I64, I64]) -> tuple[I64, I64, I64]:
+def walk_cells(
+    ends: tuple[I64, I64], lasers: tuple[I64, I64], behind: I64 | int = 0
+) -> tuple[I64, I64, I64, I64]:
     """Walk beams from their ends to the laser, one cell of the longer axis a step.
 
     Args:
         ends, lasers: x and y, (B,) each, in 1/1024 cell.
+        behind: (B,) steps before the end at which a walk starts.
 
     Returns:
-        Beam, row and column of every step, flat.
+        Beam, row and column of every step, flat, and its number, 0 at the end of the beam.
     """
     dx, dy = lasers[0] - ends[0], lasers[1] - ends[1]
     longest = np.maximum(np.maximum(np.abs(dx), np.abs(dy)), 1)
     step_x = np.abs(dx) * (1 << WALK_SHIFT) // longest * np.where(dx < 0, -1, 1)
     step_y = np.abs(dy) * (1 << WALK_SHIFT) // longest * np.where(dy < 0, -1, 1)
-    counts = (longest >> BEAM_SHIFT) + 1
+    counts = behind + (longest >> BEAM_SHIFT) + 1
     beam = np.repeat(np.arange(len(counts)), counts)
-    i = np.arange(len(beam)) - np.repeat(np.cumsum(counts) - counts, counts)
+    i = np.arange(len(beam)) - np.repeat(np.cumsum(counts) - counts + behind, counts)
     col = ((ends[0][beam] << WALK_TO_BEAM_SHIFT) + i * step_x[beam]) >> WALK_SHIFT
     row = ((ends[1][beam] << WALK_TO_BEAM_SHIFT) + i * step_y[beam]) >> WALK_SHIFT
-    return beam, row, col
+    return beam, row, col, i
 
 
 def tile_places(pages: I32, maps: I64 | int, row: I64, col: I64) -> tuple[I64, I64, I64]:
