@@ -221,7 +221,7 @@ def measure(pair: Pair, motion: F64) -> dict[str, float]:
     samples = [
         spread_sample(own.wall_points, MEASURED_POINTS) for own in (pair.moving, pair.reference)
     ]
-    counts = count_met(pair, motion[None], *samples, limits2)
+    counts = count_met(pair, motion[None], samples, limits2)
     _, known, match, _, _, _, *clash = (
         [float(own[0, k]) / len(sample) for own, sample in zip(counts, samples, strict=True)]
         for k in range(counts[0].shape[1])

@@ -207,8 +207,8 @@ class GridFeatures:
     @_kept
     def near_wall_share(self, near2: int) -> float:
         """Return the share of known cells within this squared distance (cells) of a wall."""
-        near = self.level(1).host_distance2 <= near2
-        near = np.count_nonzero(near & (self.grid.cells >= 0))
+        is_near = self.level(1).host_distance2 <= near2
+        near = int(np.count_nonzero(is_near & (self.grid.cells >= 0)))
         return near / max(1, self.known_cells)
 
     @_kept
@@ -296,24 +296,21 @@ class GridFeatures:
         return self.device.upload((spread_sample(level.points, most) / 2.0).astype(np.float32))
 
     @_kept
-    def pieces(self, per_half_cell: float, most: int) -> PointPieces:
-        """Return at most ``most`` sampled surface walls by piece; half a cell in piece sides."""
+    def pieces(self, per_half_cell: float, most: int) -> tuple[PointPieces, npt.NDArray[np.int64]]:
+        """Return at most ``most`` sampled surface walls by piece; half a cell in piece sides.
+
+        Also (B, 2) the column and row of each piece.
+        """
         points = spread_sample(self.level(1).points, most)
         col, row = np.floor(points * per_half_cell).astype(np.int64).T
         squares = col * (row.max(initial=0) + 1) + row
         order = np.argsort(squares, kind="stable")
         first = np.unique(squares[order], return_index=True)[1]
         starts = np.append(first, len(points)).astype(np.int32)
-        points = points.take(order, axis=0)
+        points, places = points.take(order, axis=0), np.stack((col, row), axis=1)[order[first]]
         sides = self._facings()[points[:, 1] // 2, points[:, 0] // 2]
-        return PointPieces(*map(self.device.upload, (points, starts, sides)))
-
-    @_kept
-    def piece_squares(self, per_half_cell: float, most: int) -> npt.NDArray[np.int64]:
-        """Return (B, 2) the column and row of each of the ``pieces``."""
-        pieces = self.pieces(per_half_cell, most)
-        first = self.device.download(pieces.points)[self.device.download(pieces.starts)[:-1]]
-        return np.asarray(np.floor(first * per_half_cell), dtype=np.int64)
+        upload = self.device.upload
+        return PointPieces(upload(points), upload(starts), upload(sides)), places
 
     @_kept
     def piece_words(self, sigma: float) -> tuple[EvidenceTable, DeviceArray[Any]]:

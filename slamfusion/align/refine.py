@@ -149,7 +149,7 @@ def _surface_distance(pair: Pair, motions: F64) -> F64:
     samples = [
         spread_sample(own.level(1).points, SPREAD_POINTS) for own in (pair.moving, pair.reference)
     ]
-    counts = count_met(pair, motions, *samples, [r * r for r in (*SURFACE_RADII, 8)])
+    counts = count_met(pair, motions, samples, [r * r for r in (*SURFACE_RADII, 8)])
     near = (counts[0] + counts[1])[:, 2 : 3 + len(SURFACE_RADII)].T
     reached = 2.0 * near[:-1] >= near[-1]
     reached[-1] = True

@@ -163,22 +163,22 @@ def _pieces(
     size = pair.resolution
     side = PIECE_M * max(1.0, sigma * size / PIECE_WIDTH_M)
     cut = size / (2.0 * side), most_points
-    looked_up, tables = [], []
+    looked_up, facts = [], []
     for own, motions, other in sides:
         table, words = other.piece_words(sigma)
-        looked_up.append(PieceSide(own.pieces(*cut), motions, words, table.base))
-        tables.append(table)
+        pieces, squares = own.pieces(*cut)
+        looked_up.append(PieceSide(pieces, motions, words, table.base))
+        facts.append((table, squares, len(own.level(1).points)))
     found = []
     sums = pair.device.piece_sums(*looked_up, sided=sided)
-    for (own, *_), table, (given, could, met) in zip(sides, tables, sums, strict=True):
-        level = own.level(1)
+    for (table, squares, walls), (given, could, met) in zip(facts, sums, strict=True):
         # Half, since both maps' walls are counted.
-        metres = 0.5 * size * len(level.points) / max(1, min(len(level.points), most_points))
+        metres = 0.5 * size * walls / max(1, min(walls, most_points))
         unit = table.unit * metres
         most = met * (table.span * unit)
         share_most = could * unit if sided else most
         seen_m = met.sum(axis=1) * metres
-        found.append((given * unit, most, share_most, seen_m, own.piece_squares(*cut)))
+        found.append((given * unit, most, share_most, seen_m, squares))
     return found
 
 
@@ -265,7 +265,7 @@ def rank(pair: Pair, motions: F64) -> F64:
     samples = [spread_sample(points, SCORED_POINTS) for points in walls]
     total = np.zeros(len(motions))
     for counts, sample, points in zip(
-        count_met(pair, motions, *samples), samples, walls, strict=True
+        count_met(pair, motions, samples), samples, walls, strict=True
     ):
         score = (counts[:, 0] / len(sample) - FINE_TABLE.base) / FINE_TABLE.span
         total += score * len(points)
@@ -273,17 +273,18 @@ def rank(pair: Pair, motions: F64) -> F64:
 
 
 def count_met(
-    pair: Pair, motions: F64, moving: I32, reference: I32, limits2: Sequence[int] = ()
+    pair: Pair, motions: F64, samples: Sequence[I32], limits2: Sequence[int] = ()
 ) -> list[I64]:
-    """Return what points (N, 2) of each map meet on the other, see ``pose_counts``."""
+    """Return what points (N, 2) of each map, the moving first, meet on the other.
+
+    See ``pose_counts``; the worth is that of ``rank``.
+    """
     sides = [
         CountedSide(points, ways, other.cells, other.level(1).distance2)
-        for points, (_, ways, other) in zip((moving, reference), pair.sides(motions), strict=True)
+        for points, (_, ways, other) in zip(samples, pair.sides(motions), strict=True)
     ]
-    table = FINE_TABLE
-    return pair.device.pose_counts(
-        *sides, hit=table.hit, miss=table.miss, base=table.base, limits2=limits2
-    )
+    hit, miss, base = FINE_TABLE.hit, FINE_TABLE.miss, FINE_TABLE.base
+    return pair.device.pose_counts(*sides, hit=hit, miss=miss, base=base, limits2=limits2)
 
 
 def walls_found(pair: Pair, motions: F64, sigma: float, scales: F64, points: int) -> F64:

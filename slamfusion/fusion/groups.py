@@ -17,7 +17,6 @@ from slamfusion.align.features import GridFeatures
 from slamfusion.align.pair import Pair
 from slamfusion.align.records import Alignment
 from slamfusion.align.starts import StartPose, Starts, named_input, start_distance
-from slamfusion.compute import ComputeDevice
 from slamfusion.config import SMALLEST, FusionConfig
 from slamfusion.errors import AlignmentError, ConfigError
 from slamfusion.fusion.grouping import Candidate, GroupSearch, MapGroup, placed, rank_pairs
@@ -84,7 +83,6 @@ def align_group(
     features: dict[str, GridFeatures],
     reasons: dict[str, str],
     config: FusionConfig,
-    device: ComputeDevice,
     names: Sequence[str],
     progress: Progress | None = None,
     second_look: SecondLook | None = None,
@@ -105,9 +103,7 @@ def align_group(
         AlignmentError: fewer than two of several inputs agree; ``pairs`` holds the alignments.
         ConfigError: the reference named in the config is no member.
     """
-    aligner = _Aligner(
-        features, config, device, progress, second_look, starts or Starts(), executor
-    )
+    aligner = _Aligner(features, config, progress, second_look, starts or Starts(), executor)
     search = GroupSearch(
         features, aligner.candidates(), aligner.align, aligner.count, aligner.ahead
     )
@@ -145,13 +141,12 @@ class _Aligner:
         self,
         features: dict[str, GridFeatures],
         config: FusionConfig,
-        device: ComputeDevice,
         progress: Progress | None,
         second_look: SecondLook | None,
         starts: Starts,
         executor: Executor | None,
     ) -> None:
-        self.features, self.device = features, device
+        self.features = features
         self.count = count = math.comb(len(features), 2)
         self.progress, self.second_look, self.starts = progress, second_look, starts
         self.is_thorough, self.last = count <= THOROUGH_PAIRS, next(reversed(features), "")

@@ -99,9 +99,8 @@ def align_inputs(
     names = [grid.name for grid in grids]
     try:
         group = align_group(
-            prepared.features, reasons, config, device, names, progress, second_look, starts,
-            executor,
-        )  # fmt: skip
+            prepared.features, reasons, config, names, progress, second_look, starts, executor
+        )
     except AlignmentError as error:
         whole = [grid for grid in voters if grid.name not in prepared.reasons]
         wrong = _wrong_resolutions(whole, config, device, second_look)

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -51,8 +52,7 @@ PRIOR_M = 2.0
 RANK_ONE, RANK_SHIFT = 1023, 6
 
 
-@dataclass(frozen=True, eq=False)
-class WallCounts:
+class WallCounts(NamedTuple):
     """How the wall cells of each map compare with each other map, (N, N) or (N, N, H, W) integers.
 
     Attributes:
@@ -69,23 +69,18 @@ class WallCounts:
     moved: I64
 
     @property
-    def tables(self) -> tuple[I64, I64, I64, I64]:
-        """Return seen, met, same and moved."""
-        return self.seen, self.met, self.same, self.moved
-
-    @property
     def extra(self) -> I64:
         """Wall cells of map i where map j shows no wall."""
         return self.seen - self.met - self.moved
 
     def total(self) -> WallCounts:
         """Return the sum over all blocks."""
-        return WallCounts(*(table.sum(axis=(2, 3)) for table in self.tables))
+        return WallCounts(*(table.sum(axis=(2, 3)) for table in self))
 
     def part(self, blocks: tuple[slice, slice]) -> WallCounts:
         """Return a view of some rows and columns of blocks."""
         rows, cols = blocks
-        return WallCounts(*(table[:, :, rows, cols] for table in self.tables))
+        return WallCounts(*(table[:, :, rows, cols] for table in self))
 
 
 @dataclass(frozen=True, eq=False)

@@ -250,7 +250,7 @@ class TileVoter:
             wide = self.around(tile)
             part = slices(tile, wide.row0, wide.col0)
             found = count_walls([codes[part].view(np.uint8) for codes in shown.values()], 31)
-            for sums, own in zip(total.tables, found.total().tables, strict=True):
+            for sums, own in zip(total, found.total(), strict=True):
                 sums[at] = own
         return total
 
@@ -355,8 +355,7 @@ class TileVoter:
 
 def sum_counts(counts: Iterable[WallCounts]) -> WallCounts:
     """Return the sum of the counts of tiles."""
-    tables = zip(*(part.tables for part in counts), strict=True)
-    return WallCounts(*(np.sum(table, axis=0) for table in tables))
+    return WallCounts(*(np.sum(tables, axis=0) for tables in zip(*counts, strict=True)))
 
 
 def worst_place(places: Iterable[tuple[int, int, int]]) -> tuple[int, int, int]:

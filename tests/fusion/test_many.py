@@ -42,8 +42,8 @@ def transforms(group: Members) -> dict[str, Pose2]:
     return {name: pair.transform for name, pair in group.alignments.items()}
 
 
-def aligned(features: dict[str, GridFeatures], device: ComputeDevice, **more: Any) -> AlignedGroup:
-    return align_group(features, {}, QUICK, device, list(features), **more)
+def aligned(features: dict[str, GridFeatures], **more: Any) -> AlignedGroup:
+    return align_group(features, {}, QUICK, list(features), **more)
 
 
 def test_pairs_that_share_ground_are_more_promising_than_all_others(
@@ -61,10 +61,10 @@ def test_pairs_that_share_ground_are_more_promising_than_all_others(
 
 
 def test_groups_of_many_maps_lie_in_their_places(
-    site: ManyMaps, features: dict[str, GridFeatures], device: ComputeDevice
+    site: ManyMaps, features: dict[str, GridFeatures]
 ) -> None:
     told: list[tuple[str, int, int]] = []
-    found = aligned(features, device, progress=lambda *step: told.append(step))
+    found = aligned(features, progress=lambda *step: told.append(step))
     assert len(found.alignments) == 8
     (other,) = found.others
     assert len(other.alignments) == 2
@@ -84,7 +84,7 @@ def test_groups_of_many_maps_lie_in_their_places(
 
 @pytest.mark.once
 def test_a_false_pair_is_named_and_the_maps_lie_right_without_it(
-    site: ManyMaps, features: dict[str, GridFeatures], device: ComputeDevice
+    site: ManyMaps, features: dict[str, GridFeatures]
 ) -> None:
     """The pair that is believed first is put 5 m aside, of those that loops are about."""
     wrong: list[frozenset[str]] = []
@@ -98,7 +98,7 @@ def test_a_false_pair_is_named_and_the_maps_lie_right_without_it(
             pair = replace(pair, transform=pair.transform.compose(Pose2(4.0, 3.0)))
         return pair
 
-    found = aligned(features, device, second_look=lie)
+    found = aligned(features, second_look=lie)
     (false,) = [pair for pair in found.pairs if {pair.reference, pair.moving} == wrong[0]]
     assert not false.accepted
     assert false.decision == "different place"
@@ -110,7 +110,7 @@ def test_a_false_pair_is_named_and_the_maps_lie_right_without_it(
 
 @pytest.mark.once
 def test_starts_say_which_pairs_are_searched(
-    site: ManyMaps, features: dict[str, GridFeatures], device: ComputeDevice
+    site: ManyMaps, features: dict[str, GridFeatures]
 ) -> None:
     """All maps have one, in the frame of their building; the second building stands far away."""
     far = {0: Pose2(), 1: Pose2(500.0, 0.0)}
@@ -118,7 +118,7 @@ def test_starts_say_which_pairs_are_searched(
         grid.name: StartPose(far[building].compose(pose), 1.0, 0.2)
         for grid, building, pose in zip(site.grids, site.buildings, site.poses, strict=True)
     }
-    found = aligned(features, device, starts=Starts(given))
+    found = aligned(features, starts=Starts(given))
     assert len(found.alignments) == 8
     assert max(site.errors_m(found.reference, transforms(found)).values()) < RIGHT_M
     number = {grid.name: index for index, grid in enumerate(site.grids)}
@@ -126,16 +126,14 @@ def test_starts_say_which_pairs_are_searched(
         assert site.buildings[number[pair.reference]] == site.buildings[number[pair.moving]]
 
 
-def test_maps_of_which_no_two_fit_are_refused(
-    features: dict[str, GridFeatures], device: ComputeDevice
-) -> None:
+def test_maps_of_which_no_two_fit_are_refused(features: dict[str, GridFeatures]) -> None:
     told = {name: StartPose(Pose2(500.0 * n, 0.0)) for n, name in enumerate(features)}
     with pytest.raises(AlignmentError, match=r"no two of the inputs .* no two can meet\)"):
-        aligned(features, device, starts=Starts(told))
+        aligned(features, starts=Starts(told))
 
 
 def test_the_best_pair_of_each_map_is_searched_where_nothing_is_promising(
-    features: dict[str, GridFeatures], device: ComputeDevice, monkeypatch: pytest.MonkeyPatch
+    features: dict[str, GridFeatures], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(grouping, "RATIO_MIN", math.inf)
     searched: list[str] = []
@@ -146,6 +144,6 @@ def test_the_best_pair_of_each_map_is_searched_where_nothing_is_promising(
 
     monkeypatch.setattr(groups, "align_pair", refuse)
     with pytest.raises(AlignmentError, match="no two of the inputs"):
-        aligned(features, device)
+        aligned(features)
     assert set(searched) == features.keys()
     assert len(searched) < 2 * len(features)

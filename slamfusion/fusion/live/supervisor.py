@@ -130,7 +130,7 @@ class InputSupervisor:
         resolution = common_resolution(grids, config.normalize)
         try:
             features = {one.name: one.features(resolution) for one in usable}
-            group = align_group(features, {}, config, device, list(features), starts=aligner.starts)
+            group = align_group(features, {}, config, list(features), starts=aligner.starts)
         except MemoryError:
             message = f"no memory is left to align {len(usable)} maps at {resolution:g} m a cell"
             raise MemoryBudgetError(message) from None

@@ -340,7 +340,7 @@ class FusedLayers:
             self._counts = found
         else:
             kept = self._counts.part(voter.blocks(box, whole))
-            for table, new in zip(kept.tables, found.tables, strict=True):
+            for table, new in zip(kept, found, strict=True):
                 table[:] = new
         self._counted = key
         return self._counts
