@@ -7,6 +7,8 @@ from collections.abc import Collection
 from dataclasses import replace
 from functools import lru_cache
 
+import numpy as np
+
 from slamfusion.align.answer import conclude
 from slamfusion.align.decide import DECISIONS, DecisionKind
 from slamfusion.align.features import GridFeatures
@@ -15,10 +17,12 @@ from slamfusion.align.pair import Pair
 from slamfusion.align.records import Alignment
 from slamfusion.align.refine import settle
 from slamfusion.align.search import (
+    FINER_CHANCE_MAX,
     SearchResult,
     can_meet,
-    has_finer,
-    search_finer,
+    finer_step,
+    ranked,
+    search,
     search_window,
     window_around,
 )
@@ -115,17 +119,23 @@ def align_pair(
         image_after = DECISIONS if thorough else ()
 
     # Compare the answer with its alternatives, and decide.
-    is_finer = thorough and found.search == "full" and has_finer(pair, config, window, found)
+    is_finer, coarse = False, found.coarse
+    if thorough and found.search == "full" and coarse is not None:
+        finer = finer_step(pair, config.coarse_cells, coarse.step, window, FINER_CHANCE_MAX)
+        is_finer = finer < coarse.step
     # If a finer level may still support the pair, the mirror image is searched there.
-    is_cut = found.coarse is not None and found.coarse.is_cut
+    is_cut = coarse is not None and coarse.is_cut
     found = replace(found, image_after=() if is_finer or is_cut else image_after)
     answer = conclude(pair, config, found, expected, pairs, began)
     is_good = answer.evidence is not None and answer.evidence.reading == "good"
     if (answer.accepted and is_good) or not is_finer:
         return answer
 
-    # A pair that is rejected, or is read as bent or changed, is searched on a finer level too.
-    found = replace(search_finer(pair, config, window, found), image_after=image_after)
+    # A pair that is rejected, or is read as bent or changed, is searched on a finer level too; what
+    # was found stays a rival.
+    coarse, more = search(pair, config, window, FINER_CHANCE_MAX)
+    motions = ranked(pair, np.concatenate((more, found.motions)))
+    found = replace(found, coarse=coarse, motions=motions, image_after=image_after)
     return conclude(pair, config, found, expected, pairs, began)
 
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -363,24 +363,6 @@ def can_meet(pair: Pair, window: SearchWindow) -> bool:
     reach = window.shift_cells + math.hypot(*pair.moving.shape) / 2.0
     x, y, _ = window.start
     return -reach <= x <= width + reach and -reach <= y <= height + reach
-
-
-def has_finer(pair: Pair, config: AlignConfig, window: SearchWindow, found: SearchResult) -> bool:
-    """Whether walls filled the coarsest level, and there is a finer one to search."""
-    if found.coarse is None:
-        return False
-    step = found.coarse.step
-    return finer_step(pair, config.coarse_cells, step, window, FINER_CHANCE_MAX) < step
-
-
-def search_finer(
-    pair: Pair, config: AlignConfig, window: SearchWindow, found: SearchResult
-) -> SearchResult:
-    """Search once more from a finer level on; what was found stays a rival."""
-    coarse, more = search(pair, config, window, FINER_CHANCE_MAX)
-    return replace(
-        found, coarse=coarse, motions=ranked(pair, np.concatenate((more, found.motions)))
-    )
 
 
 def search_window(pair: Pair, config: AlignConfig, window: SearchWindow) -> SearchResult:

@@ -21,7 +21,7 @@ from slamfusion.config import SMALLEST, FusionConfig
 from slamfusion.errors import AlignmentError, ConfigError
 from slamfusion.fusion.grouping import Candidate, GroupSearch, MapGroup, placed, rank_pairs
 from slamfusion.fusion.pair_tasks import AlignmentTasks
-from slamfusion.geometry import Pose2, wrap_angles
+from slamfusion.geometry import F64, Pose2, wrap_angles
 from slamfusion.io.files import return_freed_memory
 
 # Progress callback: stage, steps done, total steps.
@@ -306,20 +306,21 @@ def _most_supported(
 
 def _in_frame_of(reference: str, motion: Pose2, pair: Alignment) -> Alignment:
     """Return a pair in the frame of ``reference``; ``motion`` maps the pair's own to it."""
+    told = _mapped(pair, motion.compose, lambda yaws: wrap_angles(yaws + motion.yaw_rad))
+    return replace(told, reference=reference, reason=f"to {pair.reference}: {pair.reason}")
+
+
+def _mapped(
+    pair: Alignment, into: Callable[[Pose2], Pose2], turned: Callable[[F64], F64]
+) -> Alignment:
+    """Return a pair with its transforms, and the yaws of its profile, mapped."""
     runner_up, profile = pair.runner_up, pair.yaw_profile
     if runner_up is not None:
-        runner_up = replace(runner_up, transform=motion.compose(runner_up.transform))
+        runner_up = replace(runner_up, transform=into(runner_up.transform))
     if profile is not None:
-        profile = np.column_stack((wrap_angles(profile[:, 0] + motion.yaw_rad), profile[:, 1]))
+        profile = np.column_stack((turned(profile[:, 0]), profile[:, 1]))
         profile = profile[np.argsort(profile[:, 0])]
-    return replace(
-        pair,
-        reference=reference,
-        transform=motion.compose(pair.transform),
-        reason=f"to {pair.reference}: {pair.reason}",
-        runner_up=runner_up,
-        yaw_profile=profile,
-    )
+    return replace(pair, transform=into(pair.transform), runner_up=runner_up, yaw_profile=profile)
 
 
 def _rank(pair: Alignment) -> int:
@@ -351,16 +352,5 @@ def _from_the_side_of(name: str, pair: Alignment) -> Alignment:
     """Return the pair with ``name`` as the moving grid; scores are symmetric, the error is not."""
     if pair.moving == name:
         return pair
-    runner_up, profile = pair.runner_up, pair.yaw_profile
-    if runner_up is not None:
-        runner_up = replace(runner_up, transform=runner_up.transform.inverse())
-    if profile is not None:
-        profile = (profile * (-1.0, 1.0))[np.argsort(-profile[:, 0])]
-    return replace(
-        pair,
-        reference=pair.moving,
-        moving=name,
-        transform=pair.transform.inverse(),
-        runner_up=runner_up,
-        yaw_profile=profile,
-    )
+    back = _mapped(pair, Pose2.inverse, np.negative)
+    return replace(back, reference=pair.moving, moving=name)
