@@ -408,7 +408,9 @@ def facings(cells: npt.NDArray[np.int8], resolution: float) -> npt.NDArray[np.ui
     side = max(1, round(FACING_REACH_M / resolution / REACH_SQUARES))
     x, y = _clearer(_free_shares(cells, side))
     much, angle = (np.asarray(part, dtype=np.float32) for part in cv2.cartToPolar(x, y))
-    faces = np.where(much >= CLEARER, facing_parts(angle) | np.uint8(FACES), np.uint8(0))
+    parts = (angle * np.float32(FACING_PARTS / (2.0 * np.pi)) + np.float32(0.5)).astype(np.uint8)
+    way = parts & np.uint8(FACING_PARTS - 1) | np.uint8(FACES)
+    faces = np.where(much >= CLEARER, way, np.uint8(0))
     height, width = cells.shape
     out = cv2.resize(faces, None, fx=side, fy=side, interpolation=cv2.INTER_NEAREST)
     return np.ascontiguousarray(out[:height, :width])
@@ -469,12 +471,6 @@ def _clearer(
         for across, along in ((sign, one), (one, sign))
     )
     return np.asarray(x), np.asarray(y)
-
-
-def facing_parts(angles: npt.NDArray[np.floating]) -> npt.NDArray[np.uint8]:
-    """Return angles, rad, from 0 on, in parts of a turn, of which there are ``FACING_PARTS``."""
-    parts = angles * np.float32(FACING_PARTS / (2.0 * np.pi)) + np.float32(0.5)
-    return parts.astype(np.uint8) & np.uint8(FACING_PARTS - 1)
 
 
 class FieldMemory:

@@ -164,19 +164,18 @@ def narrow_fits(pair: Pair, motions: F64) -> F64:
     for _ in range(ROUNDS):
         if not len(left):
             break
-        begun = np.concatenate(
-            [
-                turned_about(motion, common_middle(pair, motion, sigma), TURNS)
-                for motion in fitted[left]
-            ]
-        )
-        ends = polish(pair, begun)
+        turned = []
+        for motion in fitted[left]:
+            walls = common_walls(pair, motion, sigma)
+            middle = walls.mean(axis=0) if len(walls) else motion[:2]
+            turned.append(turned_about(motion, middle, TURNS))
+        ends = polish(pair, np.concatenate(turned))
         values = _by_thin_walls(pair, ends)
         best = values.reshape(-1, len(TURNS)).argmax(axis=1)
         ends = ends.reshape(-1, len(TURNS), 3)[np.arange(len(left)), best]
-        turned = np.abs(np.angle(np.exp(1j * (ends[:, 2] - fitted[left, 2]))))
+        turns = np.abs(np.angle(np.exp(1j * (ends[:, 2] - fitted[left, 2]))))
         fitted[left] = ends
-        left = left[turned >= TURNED_RAD]
+        left = left[turns >= TURNED_RAD]
     return fitted
 
 
@@ -211,12 +210,6 @@ def climbed(pair: Pair, motion: F64) -> F64:
 def _by_thin_walls(pair: Pair, motions: F64) -> F64:
     """Return the evidence (P,) of thin walls for motions."""
     return score_motions(pair, motions, 1, sigma=THIN_CELLS, doubt=GOOD_DOUBT)
-
-
-def common_middle(pair: Pair, motion: F64, sigma: float) -> F64:
-    """Return (2,) the mean place of ``common_walls``, else where the moving centre lands."""
-    walls = common_walls(pair, motion, sigma)
-    return walls.mean(axis=0) if len(walls) else motion[:2]
 
 
 def common_walls(pair: Pair, motion: F64, sigma: float) -> F64:

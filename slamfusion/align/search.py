@@ -86,19 +86,6 @@ class CoarseSearch:
     is_cut: bool
 
 
-def coarse_step(
-    pair: Pair, cells: int, window: SearchWindow, chance: float = COARSE_CHANCE_MAX
-) -> int:
-    """Return the fine cells per coarse cell that leave ``cells`` on the longest side.
-
-    Up to four times finer where walls are too close to each other, unless that takes too long.
-    """
-    step = _step(pair, cells)
-    while (finer := finer_step(pair, cells, step, window, chance)) < step:
-        step = finer
-    return step
-
-
 def finer_step(pair: Pair, cells: int, step: int, window: SearchWindow, chance: float) -> int:
     """Return the next finer step if walls exceed ``chance`` (0..1), else ``step``."""
     finest = _step(pair, FINEST_FACTOR * cells)
@@ -122,8 +109,14 @@ def _step(pair: Pair, cells: int) -> int:
 def coarse_search(
     pair: Pair, config: AlignConfig, window: SearchWindow, chance: float = COARSE_CHANCE_MAX
 ) -> CoarseSearch:
-    """Score all whole-cell shifts at all yaws on shrunken grids and follow the best down."""
-    step = coarse_step(pair, config.coarse_cells, window, chance)
+    """Score all whole-cell shifts at all yaws on shrunken grids and follow the best down.
+
+    The grids are up to four times finer than set where walls are too close to each other, unless
+    that takes too long.
+    """
+    step = _step(pair, config.coarse_cells)
+    while (finer := finer_step(pair, config.coarse_cells, step, window, chance)) < step:
+        step = finer
     is_cut = _is_filled(pair, step, COARSE_CHANCE_MAX)
     scores = score_shifts(pair, step, window)
     flat = scores.evidence.ravel()
@@ -139,8 +132,8 @@ def coarse_search(
             more = _descend(pair, _leads(pair, motions, parallel.step, parallel.yaw_step))
             # Both on the finer of their levels.
             motions = np.concatenate((leads.motions, more.motions))
-            finer = min(leads.step, more.step), min(leads.yaw_step, more.yaw_step)
-            leads = _leads(pair, motions, *finer)
+            yaw_step = min(leads.yaw_step, more.yaw_step)
+            leads = _leads(pair, motions, min(leads.step, more.step), yaw_step)
     shift, turn = 2.5 * step, 2.5 * scores.yaw_step
     chosen = []
     for values, most in (

@@ -385,11 +385,6 @@ def key_of(pair: Alignment) -> Key:
     return frozenset((pair.reference, pair.moving))
 
 
-def motion_from(pair: Alignment, source: str) -> Pose2:
-    """Return the transform from ``source``'s frame into the other's."""
-    return pair.transform if pair.moving == source else pair.transform.inverse()
-
-
 class AlignmentGraph:
     """Maps, accepted alignments (links), and pairs that contradict them.
 
@@ -461,7 +456,9 @@ class AlignmentGraph:
             here = fresh.pop()
             for other, pair in self._tree[here].items():
                 if other not in poses:
-                    poses[other] = poses[here].compose(motion_from(pair, other))
+                    is_there = pair.moving == other
+                    motion = pair.transform if is_there else pair.transform.inverse()
+                    poses[other] = poses[here].compose(motion)
                     fresh.append(other)
         return poses
 

@@ -165,7 +165,7 @@ class LatticeVote:
         Raises:
             GridError: more inputs than a vote takes know one place.
         """
-        tiles = list(self.voter.tiles(TILE))
+        tiles = list(tiles_of(self.voter.whole, TILE))
         calls = ((self.voter, tile, self.prepared or self._under(tile)) for tile in tiles)
         for done, made in enumerate(in_order(executor, task, calls)):
             yield tiles[done], made

@@ -217,10 +217,6 @@ class TileVoter:
         )
         return overlap(grown, self.whole) or box
 
-    def tiles(self, side: int = TILE) -> Iterator[CellBox]:
-        """Yield tiles that together are the fused cells."""
-        return tiles_of(self.whole, side)
-
     def around(self, tile: CellBox) -> CellBox:
         """Return the cells that decide a tile; with ``consensus`` its blocks and the next."""
         if not self.weighs:

@@ -218,7 +218,7 @@ def test_tiles_decide_what_the_whole_decides(
     maps["bent"] = bent(room())
     whole = CellBox(0, 0, *room().shape)
     voter = TileVoter(whole, VoteConfig(mode), 0.1, tuple(maps), first)
-    tiles = list(voter.tiles(side))
+    tiles = list(tiles_of(voter.whole, side))
     assert len(tiles) > 1
     if voter.weighs:
         at_once = voter.trusting(voter.count(whole, shown_by(voter, whole, maps)))
