@@ -302,15 +302,18 @@ def _slid(pair: Pair, answer: Answer) -> Answer:
     """
     if not answer.is_accepted:
         return answer
-    slid = slides(pair, answer.motion, answer.reading)
-    pieces = weigh(pair, np.concatenate((answer.motion[None], slid)), answer.reading)
+    motions = np.concatenate((answer.motion[None], slides(pair, answer.motion, answer.reading)))
+    slid = slice(1, len(motions))
+    if answer.reading == "good":
+        motions = np.concatenate((motions, shifts(pair, answer.motion)))
+    pieces = weigh(pair, motions, answer.reading)
     own, seen = pieces.weighed[0], pieces.most[0]
-    unseen = np.maximum(seen - pieces.most[1:], 0.0) / np.maximum(seen, 1e-9)
+    unseen = np.maximum(seen - pieces.most[slid], 0.0) / np.maximum(seen, 1e-9)
     typical = float((seen * seen).sum() / max(float(seen.sum()), 1e-9))
-    lost = own - pieces.weighed[1:] - unseen * own
+    lost = own - pieces.weighed[slid] - unseen * own
     least = float(pieces.count(lost, SLIDE_NOISE * typical**2).min())
     if answer.reading == "good":
-        shifted = weigh(pair, shifts(pair, answer.motion), "good").weighed
+        shifted = pieces.weighed[slid.stop :]
         least = min(least, float(pieces.count(own - shifted).min()))
     return replace(answer, against=answer.against | {"a shift of itself": least})
 
