@@ -354,10 +354,10 @@ class HitCountDevice(ArrayDevice):
         sum_at = np.add.at if sign > 0 else np.subtract.at
         for first in range(0, len(beams), BATCH):
             some = beams[first : first + BATCH].astype(np.int64)
-            beam, row, col = walk_cells((some[:, 0], some[:, 1]), (some[:, 2], some[:, 3]))
+            beam, row, col, step = walk_cells((some[:, 0], some[:, 1]), (some[:, 2], some[:, 3]))
             places = tile_places(pages, 0, row, col)
             is_visit = places[0] != 0
-            is_end = is_visit & (np.diff(beam, prepend=-1) > 0)
+            is_end = is_visit & (step == 0)
             counted = is_visit, is_end & (is_hit[first : first + BATCH][beam] != 0)
             for pool, here in zip(pools, counted, strict=True):
                 sum_at(pool, tuple(part[here] for part in places), np.uint32(1))
