@@ -279,8 +279,13 @@ __kernel void pose_counts(__global const int *points, const int count, __global 
  * REFINE_LANES = 8 points are done at once; what lies off the map, or is not seen, weighs nothing.
  * Global: (chunks of both sides, n). */
 #define REFINE_LANES 8
-#define GATHERED(i) (float8)(corners[0][i], corners[1][i], corners[2][i], corners[3][i], \
-                             corners[4][i], corners[5][i], corners[6][i], corners[7][i])
+#define GATHERED(n) (uint8)(n[0], n[1], n[2], n[3], n[4], n[5], n[6], n[7])
+/* A cell and the next of its row in one word. */
+#ifdef UNALIGNED_WORDS
+#define BOTH_CELLS(at) (*(__global const uint *)(at))
+#else
+#define BOTH_CELLS(at) ((at)[0] | (uint)(at)[1] << 16)
+#endif
 
 INLINE float lanes_sum(const float8 lanes) {
   const float4 four = lanes.lo + lanes.hi;
@@ -311,14 +316,21 @@ __kernel void refine_terms(__global const float *forward_points, const int forwa
   float8 xx = 0.0f, xy = 0.0f, xt = 0.0f, yy = 0.0f, yt = 0.0f, tt = 0.0f;
   float8 x = 0.0f, y = 0.0f, t = 0.0f, all = 0.0f;
   for (int i = first; i < stop && width > 1 && height > 1; i += REFINE_LANES) {
-    float px[REFINE_LANES], py[REFINE_LANES];
-    for (int lane = 0; lane < REFINE_LANES; lane++) {
-      const int at = LOWER(i + lane, stop - 1);
-      px[lane] = points[2 * at];
-      py[lane] = points[2 * at + 1];
+    float8 ox, oy;
+    if (i + REFINE_LANES <= stop) {
+      const float8 near = as_float8(LOAD32(points + 2 * i)), far = as_float8(LOAD32(points + 2 * i + 8));
+      ox = (float8)(near.even, far.even);
+      oy = (float8)(near.odd, far.odd);
+    } else {
+      float px[REFINE_LANES], py[REFINE_LANES];
+      for (int lane = 0; lane < REFINE_LANES; lane++) {
+        const int at = LOWER(i + lane, stop - 1);
+        px[lane] = points[2 * at];
+        py[lane] = points[2 * at + 1];
+      }
+      ox = (float8)(px[0], px[1], px[2], px[3], px[4], px[5], px[6], px[7]);
+      oy = (float8)(py[0], py[1], py[2], py[3], py[4], py[5], py[6], py[7]);
     }
-    const float8 ox = (float8)(px[0], px[1], px[2], px[3], px[4], px[5], px[6], px[7]);
-    const float8 oy = (float8)(py[0], py[1], py[2], py[3], py[4], py[5], py[6], py[7]);
     const float8 qx = cosine * ox - sine * oy + tx, qy = sine * ox + cosine * oy + ty;
     /* Cells of the corner below; a point that has none on the map looks at the first ones. */
     const int8 on = ((int8)(0, 1, 2, 3, 4, 5, 6, 7) < stop - i) & (qx >= 0.5f) & (qy >= 0.5f) &
@@ -328,15 +340,14 @@ __kernel void refine_terms(__global const float *forward_points, const int forwa
     const int8 cell = row * width + col;
     const int cells[REFINE_LANES] = {cell.s0, cell.s1, cell.s2, cell.s3,
                                      cell.s4, cell.s5, cell.s6, cell.s7};
-    float corners[REFINE_LANES][4];
+    uint low[REFINE_LANES], high[REFINE_LANES];
     for (int lane = 0; lane < REFINE_LANES; lane++) {
-      __global const ushort *at = distance + cells[lane];
-      corners[lane][0] = at[0];
-      corners[lane][1] = at[1];
-      corners[lane][2] = at[width];
-      corners[lane][3] = at[width + 1];
+      low[lane] = BOTH_CELLS(distance + cells[lane]);
+      high[lane] = BOTH_CELLS(distance + cells[lane] + width);
     }
-    const float8 r00 = GATHERED(0), r01 = GATHERED(1), r10 = GATHERED(2), r11 = GATHERED(3);
+    const uint8 row0 = GATHERED(low), row1 = GATHERED(high);
+    const float8 r00 = convert_float8(as_int8(row0 & 0xffff)), r01 = convert_float8(as_int8(row0 >> 16));
+    const float8 r10 = convert_float8(as_int8(row1 & 0xffff)), r11 = convert_float8(as_int8(row1 >> 16));
     const float unseen = DISTANCE_UNSEEN;
     const int8 counts = on & (r00 < unseen) & (r01 < unseen) & (r10 < unseen) & (r11 < unseen);
     const float8 u = fx - convert_float8(col), v = fy - convert_float8(row);
