@@ -123,8 +123,8 @@ class InputSupervisor:
             SlamFusionError: too few agree, or memory cannot hold them; in one line.
         """
         aligner = self._aligner
-        config, device = aligner.layers.config, aligner.layers.device
         # The walls of the reference are what the others are compared with until it is lost.
+        config = aligner.layers.config
         config = replace(config, reference=config.reference or SMALLEST)
         grids = [one.grid for one in usable if one.grid is not None]
         resolution = common_resolution(grids, config.normalize)
