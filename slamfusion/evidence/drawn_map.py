@@ -14,7 +14,8 @@ another SLAM saved contains scans outside of this log, so it votes.
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -40,6 +41,7 @@ I8 = npt.NDArray[np.int8]
 B8 = npt.NDArray[np.bool_]
 I32 = npt.NDArray[np.int32]
 U32 = npt.NDArray[np.uint32]
+Row = tuple[float, ...]
 
 # Parts of a cell that points are rounded to, as the kernel sees them.
 POINT_PARTS = 1024.0
@@ -104,13 +106,9 @@ class MapDrawer:
             self._clear()
         elif moved:
             self._take_back(moved)
-        fresh = [
-            _LaidScan(scan, wanted[scan.stamp_s])
-            for scan in placed
-            if scan.stamp_s not in self._laid
-        ]
+        fresh = [scan for scan in placed if scan.stamp_s not in self._laid]
         if fresh:
-            self._lay(fresh)
+            self._lay(fresh, [wanted[scan.stamp_s] for scan in fresh])
         hits, visits, corner = self._stopped.cells()
         walls = _is_wall(hits, visits)
         cells = np.where(walls, OCCUPIED, np.where(visits >= LEAST_VISITS, FREE, UNKNOWN))
@@ -123,39 +121,38 @@ class MapDrawer:
         at = origin.compose(Pose2(*(float(value) for value in corner * resolution)))
         return OccupancyGrid(cells, resolution, at, name)
 
-    def _lay(self, scans: Sequence[_LaidScan]) -> None:
+    def _lay(self, scans: Sequence[ScanHits], poses: Sequence[Row]) -> None:
         """Count scans that are not counted yet, some at a time."""
         resolution = self.lattice.resolution
-        parts = [scans[first : first + PART] for first in range(0, len(scans), PART)]
+        parts = [slice(first, first + PART) for first in range(0, len(scans), PART)]
         for part in parts:
-            whole = _Beams.of(part, resolution)
+            whole = _Beams.of(scans[part], poses[part], resolution)
             self._whole.count(whole, self._whole.place(whole), 1)
         hits, visits, corner = self._whole.cells()
-        walls = _is_wall(hits, visits)
-        stopped = [
-            _cut_off(_Beams.of(part, resolution), walls, corner, self._device, resolution)
-            for part in parts
-        ]
+        walls, stopped = _is_wall(hits, visits), []
+        for part in parts:
+            whole = _Beams.of(scans[part], poses[part], resolution)
+            stopped.append(_cut_off(whole, walls, corner, self._device, resolution))
         self._stopped.cover(stopped)
         for part, beams in zip(parts, stopped, strict=True):
-            ends = self._stopped.place(beams)
+            ends, firsts = self._stopped.place(beams), beams.firsts[1:-1]
             self._stopped.count(beams, ends, 1)
-            for own, first, last in zip(part, beams.firsts[:-1], beams.firsts[1:], strict=True):
-                own.ends, own.is_hit = ends[first:last], beams.is_hit[first:last]
-                self._laid[own.scan.stamp_s] = own
+            own = np.split(ends, firsts), np.split(beams.is_hit, firsts)
+            for laid in map(_LaidScan, scans[part], poses[part], *own):
+                self._laid[laid.scan.stamp_s] = laid
 
-    def _take_back(self, scans: Sequence[_LaidScan]) -> None:
+    def _take_back(self, moved: Sequence[_LaidScan]) -> None:
         """Take scans back that were counted."""
-        beams = _Beams.of(scans, self.lattice.resolution)
+        scans, poses, ends, is_hit = zip(*moved, strict=True)
+        beams = _Beams.of(scans, poses, self.lattice.resolution)
         self._whole.count(beams, self._whole.place(beams), -1)
-        stopped = replace(beams, is_hit=np.concatenate([own.is_hit for own in scans]))
-        self._stopped.count(stopped, np.concatenate([own.ends for own in scans]), -1)
-        for own in scans:
-            del self._laid[own.scan.stamp_s]
+        stopped = replace(beams, is_hit=np.concatenate(is_hit))
+        self._stopped.count(stopped, np.concatenate(ends), -1)
+        for scan in scans:
+            del self._laid[scan.stamp_s]
 
 
-@dataclass(eq=False)
-class _LaidScan:
+class _LaidScan(NamedTuple):
     """A scan that is drawn.
 
     Attributes:
@@ -164,9 +161,9 @@ class _LaidScan:
     """
 
     scan: ScanHits
-    pose: tuple[float, ...]
-    ends: I32 = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int32))
-    is_hit: B8 = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
+    pose: Row
+    ends: I32
+    is_hit: B8
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,21 +183,20 @@ class _Beams:
     firsts: npt.NDArray[np.int64]
 
     @classmethod
-    def of(cls, scans: Sequence[_LaidScan], resolution: float) -> _Beams:
+    def of(cls, scans: Sequence[ScanHits], poses: Sequence[Row], resolution: float) -> _Beams:
         """Place scans on the lattice."""
-        poses = np.array([own.pose for own in scans])
-        hits = [own.scan.ends[:: -(-len(own.scan.ends) // MOST_BEAMS)] for own in scans]
+        hits = [scan.ends[:: -(-len(scan.ends) // MOST_BEAMS)] for scan in scans]
         sizes = np.array([len(own) for own in hits])
         of = np.repeat(np.arange(len(scans)), sizes)
         ends = np.concatenate(hits)
-        lasers = np.array([own.scan.laser for own in scans])
+        lasers, placed = np.array([scan.laser for scan in scans]), np.array(poses)
 
         def in_cells(points: F64) -> F64:
             return np.asarray(np.rint(points / resolution * POINT_PARTS) / POINT_PARTS)
 
         return cls(
-            in_cells(transform_points(poses, lasers)),
-            in_cells(transform_points(poses, ends, of)),
+            in_cells(transform_points(placed, lasers)),
+            in_cells(transform_points(placed, ends, of)),
             np.ones(len(ends), dtype=np.bool_),
             np.concatenate(([0], np.cumsum(sizes))).astype(np.int64),
         )

@@ -114,7 +114,8 @@ class FusedFrames:
         # Last stamp and value sent, by child frame, and of the fused pose.
         self._sent: dict[str, tuple[int, Pose2]] = {}
         self._heard_ns: dict[str, int] = {}
-        self._has_sent_odometry = False
+        # Stamp of the last transform of the odometry frame; None before the first.
+        self._driven_s: float | None = None
         self._resets = 0
         self._output = TransformOutput(node.node)
         self._odom_frame = OdomFrame()
@@ -162,7 +163,7 @@ class FusedFrames:
         if not settings.publish_tf or settings.odom_frame == settings.fused_frame:
             return
         stamp_s = self._odometry.heard_s(*frames)
-        if stamp_s is None:
+        if stamp_s is None or stamp_s == self._driven_s:
             return
         try:
             odometry = self._odometry.lookup(*frames, stamp_s)
@@ -171,7 +172,7 @@ class FusedFrames:
         speeds = settings.correction_speed, settings.correction_turn
         moved = self._odom_frame.move(stamp_s, odometry, *speeds)
         if moved is not None:
-            self._has_sent_odometry = True
+            self._driven_s = stamp_s
             stamp = messages.to_stamp(stamp_s)
             self._output.send(moved, settings.fused_frame, settings.odom_frame, stamp)
 
@@ -332,5 +333,5 @@ class FusedFrames:
         elif not self.leader:
             why = "no input that votes has the robot's pose (NAME/pose next to NAME/map)"
         text = f"publish_tf: {settings.fused_frame} -> {settings.odom_frame} was never sent: {why}"
-        is_unsent = settings.publish_tf and has_voters and not self._has_sent_odometry
+        is_unsent = settings.publish_tf and has_voters and self._driven_s is None
         self._node.diagnostics.say("unsent", text if is_unsent else None, after_s=TF_LATE_S)

@@ -6,6 +6,7 @@ A message that is no grid, scan or pose is refused with a ``SlamFusionError`` th
 from __future__ import annotations
 
 import math
+import struct
 from array import array
 from typing import Any
 
@@ -153,18 +154,9 @@ def _row_of_path(frame_size: int) -> np.dtype[Any]:
     ``frame_size`` is of its frame_id, with the zero behind it. XCDR1 of the DDS-XTypes standard:
     numbers lie at multiples of their size, counted from behind the four bytes of its header.
     """
-    pose_at = -(-(12 + frame_size) // 8) * 8
-    fields = {
-        "sec": ("<i4", 0),
-        "nanosec": ("<u4", 4),
-        "size": ("<u4", 8),
-        "frame": (f"({frame_size},)u1", 12),
-        "pose": ("(7,)<f8", pose_at),
-    }
-    formats, offsets = zip(*fields.values(), strict=True)
-    return np.dtype(
-        {"names": [*fields], "formats": formats, "offsets": offsets, "itemsize": pose_at + 56}
-    )
+    stamp = [("sec", "<i4"), ("nanosec", "<u4")]
+    frame = [("size", "<u4"), ("frame", f"({frame_size},)u1")]
+    return np.dtype([*stamp, *frame, ("pose", "(7,)<f8")], align=True)
 
 
 def path_to_bytes(
@@ -228,17 +220,15 @@ def _rows_of_path(data: bytes) -> tuple[npt.NDArray[np.int64], F64] | None:
     count_at = -(-(16 + number(12)) // 4) * 4
     count, first_at = number(count_at), count_at + 4
     size = number(first_at + 8)
+    if not count or size > len(data):
+        return None
     pose_at = 4 + -(-(first_at + 8 + size) // 8) * 8
     kind = _row_of_path(size)
-    if not count or len(data) != pose_at + 56 + (count - 1) * kind.itemsize:
+    if len(data) != pose_at + 56 + (count - 1) * kind.itemsize:
         return None
     rows = np.empty(count, dtype=kind)
     rows[1:] = np.frombuffer(data, kind, count - 1, pose_at + 56)
-    rows["size"][0], rows["sec"][0], rows["nanosec"][0] = (
-        size,
-        number(first_at),
-        number(first_at + 4),
-    )
+    rows["sec"][0], rows["nanosec"][0], rows["size"][0] = struct.unpack_from("<iII", data, first_at)
     rows["pose"][0] = np.frombuffer(data, "<f8", 7, pose_at)
     poses = rows["pose"]
     length = np.sqrt((poses[:, 3:] ** 2).sum(axis=1))

@@ -183,6 +183,8 @@ def test_a_path_of_others_is_read_and_one_that_is_none_in_the_plane_refused():
     path.poses[1].header.frame_id = "another"
     assert len(messages.path_from_bytes(serialize_message(path), "a")) == 3
     path.poses[1].header.frame_id = "map"
+    path.poses[0].header.stamp.sec = -1
+    assert messages.path_from_bytes(serialize_message(path), "a").stamps_s[0] == -1.0
     path.poses[1].pose.orientation.x = 1.0
     with pytest.raises(TrajectoryError, match="tilts or turns over"):
         messages.path_from_bytes(serialize_message(path), "a")
