@@ -213,7 +213,7 @@ def refusal(bag: Bag, folder: Path, **config: Any) -> str:
 def test_several_lasers_need_a_choice(tmp_path: Path) -> None:
     bag = driven().scan(10.5, topic="/front").scan(11.0, topic="/rear")
     path = bag.write(tmp_path)
-    with pytest.raises(LogError, match=r"several .* /front, /rear; choose one with scan_topic"):
+    with pytest.raises(LogError, match=r"several .* /front, /rear; choose one with --scan-topic"):
         BagLog(path)
     (scan,) = BagLog(path, LogConfig(scan_topic="rear"))
     assert scan.scan.stamp_s == 11.0
@@ -222,7 +222,7 @@ def test_several_lasers_need_a_choice(tmp_path: Path) -> None:
 def test_several_odometries_need_a_choice(tmp_path: Path) -> None:
     bag = driven().odometry(10.5, (9.0, 0.0, 0.0), topic="/visual").scan(10.5)
     path = bag.write(tmp_path)
-    with pytest.raises(LogError, match=r"several .* /odom, /visual; choose one with odom_topic"):
+    with pytest.raises(LogError, match=r"several .* /odom, /visual; choose one with --odom-topic"):
         BagLog(path)
     (scan,) = BagLog(path, LogConfig(odom_topic="/visual"))
     assert_pose(scan.odometry, 9.0, 0.0, 0.0)

@@ -100,7 +100,7 @@ def test_of_several_robots_the_one_of_the_scans_is_read(
 def test_transforms_of_two_robots_are_never_mixed(tmp_path: Path) -> None:
     bag = two_robots().scan(11.0, topic="/scan")
     path = bag.write(tmp_path)
-    with pytest.raises(LogError, match="choose one with tf_topic"):
+    with pytest.raises(LogError, match="choose one with --tf-topic"):
         BagLog(path, LogConfig(scan_topic="/scan", odom_topic="tf"))
     config = LogConfig(scan_topic="/scan", odom_topic="tf", tf_topic="/robot2/tf")
     (item,) = BagLog(path, config)

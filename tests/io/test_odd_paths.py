@@ -164,13 +164,13 @@ def test_transforms_are_a_path(tmp_path: Path, topic: str | None) -> None:
 def test_several_pose_topics_need_a_choice(tmp_path: Path) -> None:
     bag = with_poses(with_poses(Bag(), "/a", POSE), "/b", LOCALIZED)
     path = bag.write(tmp_path)
-    with pytest.raises(LogError, match=r"several .* /a, /b; choose one with pose_topic"):
+    with pytest.raises(LogError, match=r"several .* /a, /b; choose one with --pose-topic"):
         read_trajectory(path)
-    with pytest.raises(LogError, match=r"'/c' in it; found /a, /b; change pose_topic"):
+    with pytest.raises(LogError, match=r"'/c' in it; found /a, /b; change --pose-topic"):
         read_trajectory(path, pose_topic="/c")
 
 
 def test_a_bag_without_any_path_says_so(tmp_path: Path) -> None:
     path = Bag().add(1.0, "/note", TEXT, data="hello").write(tmp_path)
-    with pytest.raises(LogError, match="or a topic with pose_topic"):
+    with pytest.raises(LogError, match="or a topic with --pose-topic"):
         read_trajectory(path)

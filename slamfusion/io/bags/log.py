@@ -91,7 +91,7 @@ class BagLog(ScanLog):
         super().__init__(path, config)
         self._mounts: dict[str, Mount] = {}
         with open_bag(self.path, self.notes) as bag:
-            self._scan_topic = bag.choose_topic(SCAN_TYPES, config.scan_topic, "scan_topic")
+            self._scan_topic = bag.choose_topic(SCAN_TYPES, config.scan_topic, "--scan-topic")
             first = self._first_messages(bag)
             laser_frame = first[0].header.frame_id.lstrip("/")
             frames = BagFrames(bag, config, self._scan_topic, laser_frame)
@@ -125,7 +125,7 @@ class BagLog(ScanLog):
                 f"{self.path}: no scan lies in the time of the odometry: scans from {out_s[0]:.3f} "
                 f"s to {out_s[-1]:.3f} s, odometry from {first_s:.3f} s to {last_s:.3f} s, "
                 f"{first_s - out_s[0]:+.3f} s later: two clocks? record both with one, or read the "
-                "scans alone with odom_topic none"
+                "scans alone with --odom-topic none"
             )
 
     def _sweeps(self, bag: OpenBag) -> Iterator[tuple[int, LaserScan]]:
@@ -200,7 +200,7 @@ class BagLog(ScanLog):
         if mount.tilt_rad > TILT_MAX_RAD:
             raise LogError(
                 f"{self.path}: the laser {frame!r} is tilted by {math.degrees(mount.tilt_rad):.0f} "
-                "degrees, wanted one that lies level; choose another with scan_topic"
+                "degrees, wanted one that lies level; choose another with --scan-topic"
             )
         if self._tree.is_constant(self._base_frame, frame):
             self._mounts[frame] = mount

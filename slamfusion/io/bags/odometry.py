@@ -97,7 +97,7 @@ class BagFrames:
                 if other != namespace:
                     raise LogError(
                         f"{self._bag.path}: frame {item.child_frame_id!r} is sent on {other}/tf "
-                        f"and on {namespace}/tf: two robots? choose one with tf_topic"
+                        f"and on {namespace}/tf: two robots? choose one with --tf-topic"
                     )
                 move, turn = item.transform.translation, item.transform.rotation
                 row = (move.x, move.y, move.z, turn.x, turn.y, turn.z, turn.w)
@@ -124,7 +124,7 @@ class BagFrames:
         if not own:
             raise LogError(
                 f"{self._bag.path}: no transforms on {wanted!r}; found "
-                f"{', '.join(found) or 'none'}; change tf_topic or leave it out"
+                f"{', '.join(found) or 'none'}; change --tf-topic or leave it out"
             )
         return own
 
@@ -134,7 +134,7 @@ class BagFrames:
             return None
         if config.odom_topic != "tf" and (config.odom_topic or bag.topics(_ODOMETRY_TYPES)):
             topic = bag.choose_topic(
-                _ODOMETRY_TYPES, config.odom_topic, "odom_topic", self._scan_topic
+                _ODOMETRY_TYPES, config.odom_topic, "--odom-topic", self._scan_topic
             )
             odometry = self._odometry_by_messages(topic)
             if odometry is not None:
@@ -191,7 +191,7 @@ class BagFrames:
         known = ", ".join(sorted(self.tree.frames)) or "none"
         return (
             f"{self._bag.path}: no transforms from {base_frame!r} to base_frame {wanted!r}; frames "
-            f"in it: {known}; change base_frame or leave it out"
+            f"in it: {known}; change --base-frame or leave it out"
         )
 
     def _odometry_by_transforms(self, base_frame: str) -> BagOdometry | None:
@@ -219,7 +219,7 @@ class BagFrames:
             known = ", ".join(sorted(self.tree.frames)) or "none"
             raise LogError(
                 f"{self._bag.path}: no transforms move the robot's frame {base!r}; frames in it: "
-                f"{known}; name the robot's with base_frame, or a topic with pose_topic"
+                f"{known}; name the robot's with --base-frame, or a topic with --pose-topic"
             )
         matrices = self.tree.sample(world, base, stamps_s)
         turns = Rotation.from_matrix(matrices[:, :3, :3]).as_quat()
@@ -260,10 +260,10 @@ def read_poses(path: Path, config: LogConfig, wanted: str | None, notes: list[st
             return None
         if wanted == "tf" or (wanted is None and not others):
             return BagFrames(bag, config).base_poses()
-        topic = bag.choose_topic(_POSE_TYPES, wanted, "pose_topic")
+        topic = bag.choose_topic(_POSE_TYPES, wanted, "--pose-topic")
         table, first = _topic_poses(bag, topic)
     if first is None:
-        raise LogError(f"{path}: no usable pose on {topic}; choose another topic with pose_topic")
+        raise LogError(f"{path}: no usable pose on {topic}; choose another topic with --pose-topic")
     return table
 
 

@@ -89,7 +89,7 @@ class OpenBag:
             if self.topics([POINT_CLOUD]):
                 advice = "make one of the point cloud with the ROS package pointcloud_to_laserscan"
             found = f"{', '.join(topics)} without a message" if topics else others or "nothing"
-            what = "laser" if key == "scan_topic" else "pose"
+            what = "laser" if key == "--scan-topic" else "pose"
             message = (
                 f"{self.path}: no {what} in it: wanted a {kind} topic, found {found}; {advice}"
             )
