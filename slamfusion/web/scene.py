@@ -239,6 +239,10 @@ class Scene:
         for name, path in paths.items():
             for stamp_s, (x_m, y_m, _) in zip(path.stamps_s, path.poses, strict=True):
                 self.put_point(name, float(x_m), float(y_m), float(stamp_s) - start_s)
+            with self._lock:
+                trail, end_s = self._trails[name], float(stamp_s) - start_s
+                if trail[-1][3] < end_s:  # the robot stood or turned until then
+                    trail.append((self._next(), float(x_m), float(y_m), end_s))
 
     def _name(self, names: Iterable[str]) -> None:
         self._colours = colours_of([*self._colours, *names])

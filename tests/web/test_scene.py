@@ -7,6 +7,7 @@ import pytest
 
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
+from slamfusion.trajectory import Trajectory
 from slamfusion.web.scene import TILE, Scene, encode_tile
 from tests.web.maps import noise, painted, texts, tiles
 
@@ -105,6 +106,14 @@ def test_a_path_goes_on_where_it_was(scene: Scene) -> None:
     assert texts(messages, "trail")[0]["points"] == [[0.0, 0.0, 0.0], [1.0, 0.0, 10.0]]
     scene.put_point("a", 2.0, 0.0, 30.0)
     assert texts(scene.since(seq)[0], "trail")[0]["points"] == [[2.0, 0.0, 30.0]]
+
+
+def test_a_whole_path_ends_when_the_robot_stops_turning(scene: Scene) -> None:
+    scene.put_paths(
+        {"a": Trajectory(np.array([5.0, 6.0, 9.0]), np.array([[0, 0, 0], [1, 0, 0], [1, 0, 2.0]]))}
+    )
+    (trail,) = texts(scene.since(0)[0], "trail")
+    assert trail["points"] == [[0, 0, 0], [1, 0, 1], [1, 0, 4]]
 
 
 def test_a_map_that_is_taken_away_is_told_and_may_come_again(scene: Scene) -> None:
