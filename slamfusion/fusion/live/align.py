@@ -14,7 +14,6 @@ from slamfusion.align.hypotheses import mirror_gain
 from slamfusion.align.pair import Pair
 from slamfusion.align.records import Alignment
 from slamfusion.align.starts import StartPose, Starts
-from slamfusion.config import LiveConfig
 from slamfusion.fusion.live.inputs import Fit, Input, Jump, Reason
 from slamfusion.fusion.live.voting import FusedLayers
 from slamfusion.geometry import Pose2
@@ -85,11 +84,6 @@ class Aligner:
 
     # -- what is aligned --------------------------------------------------------------------------
 
-    @property
-    def live(self) -> LiveConfig:
-        """The settings."""
-        return self.layers.live
-
     def features(self, track: Input) -> GridFeatures:
         """Return the features of an input's map."""
         return track.features(self.layers.fixed.resolution)
@@ -141,7 +135,7 @@ class Aligner:
         moved = held.transform.compose(pair.transform)
         found = self._found.get(frozenset((track.name, held.name)))
         # A map may bend as it grows, so it may explain much less than when it was searched.
-        lasting = 0.0 if found is None else self.live.search_share * found.share
+        lasting = 0.0 if found is None else self.layers.live.search_share * found.share
         is_good = pair.accepted and explained(pair) >= lasting
         mismatch = "" if pair.accepted else _not_aligned(held, pair.reason)
         track.fit = Fit(
@@ -153,7 +147,7 @@ class Aligner:
 
     def may_search(self, track: Input) -> bool:
         """Whether it may be searched everywhere now: one per update, each not too often."""
-        pause = max(self.live.search_pause_s, track.rest_s)
+        pause = max(self.layers.live.search_pause_s, track.rest_s)
         return not self.has_searched and self.now_s - track.searched_s >= pause
 
     def search(self, track: Input, held: AnchorMap) -> None:
@@ -175,7 +169,7 @@ class Aligner:
             jump = Jump(moved, track.version, self.now_s)
         track.jump = replace(jump, transform=moved, version=track.version, confirms=0)
         away_m, turn_rad, _ = track.apart(last, moved)
-        wait_s = self.live.confirm_s
+        wait_s = self.layers.live.confirm_s
         track.turn(Reason.JUMPED, away_m=away_m, turn_rad=turn_rad, seconds=wait_s)
 
     def _accept_searched(
@@ -191,7 +185,10 @@ class Aligner:
         return (
             jump is not None
             and track.awaits_confirmation
-            and (self.now_s - jump.found_s >= self.live.confirm_s or jump.messages >= CONFIRM_MAPS)
+            and (
+                self.now_s - jump.found_s >= self.layers.live.confirm_s
+                or jump.messages >= CONFIRM_MAPS
+            )
         )
 
     def confirm(self, track: Input, candidates: Sequence[AnchorMap]) -> bool:
@@ -238,7 +235,7 @@ class Aligner:
     def is_jump(self, track: Input, a: Pose2, b: Pose2) -> bool:
         """Whether two transforms of an input's map are too far apart to be one place."""
         centre, turn, _ = track.apart(a, b)
-        return centre > self.live.jump_m or turn > JUMP_RAD
+        return centre > self.layers.live.jump_m or turn > JUMP_RAD
 
     def is_worth_a_move(self, track: Input, a: Pose2, b: Pose2) -> bool:
         """Whether two transforms of an input's map differ enough to use the new one."""

@@ -156,7 +156,7 @@ class Anchor:
         if len(group) == 1 and len(rivals) > 1:
             kept = hold_map(aligner.layers.agreed, LAST_AGREED, aligner)
             fits = {} if kept is None else self._fitting(rivals, kept)
-            enough = aligner.live.search_share * max(map(_share, fits.values()), default=0.0)
+            enough = aligner.layers.live.search_share * max(map(_share, fits.values()), default=0.0)
             fits = {name: fit for name, fit in fits.items() if _share(fit) >= enough}
             if kept is None or len(fits) != 1:
                 return self._dispute(inputs, names, rivals)

@@ -81,13 +81,13 @@ class InputSupervisor:
     def _start(self) -> None:
         """Try the first fusion, once for every new map and not too often."""
         aligner = self._aligner
-        usable, least = self._usable(), aligner.live.minimum_inputs
+        usable, least = self._usable(), aligner.layers.live.minimum_inputs
         if len(usable) < least:
             self._wait(usable, Reason.TOO_FEW, least=least, found=len(usable))
             return
         versions = tuple((one.name, one.version) for one in usable)
         last_s, tried = self._tried
-        if versions == tried or aligner.now_s - last_s < aligner.live.search_pause_s:
+        if versions == tried or aligner.now_s - last_s < aligner.layers.live.search_pause_s:
             return
         self._tried = (aligner.now_s, versions)
         aligner.has_searched = len(usable) > 1

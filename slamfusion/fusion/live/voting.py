@@ -124,7 +124,11 @@ class FusedLayers:
         grown = [self._make_room(track, reference) for track in voters]
         voters = [track for track in voters if track.votes]
         names = tuple(track.name for track in voters)
-        self._keep_agreed(names)
+        # The fused map of a majority is kept while there are too few voters for one.
+        if len(names) >= MAJORITY:
+            self.agreed = None
+        elif len(self.names) >= MAJORITY:
+            self.agreed = self.last_fused()
         for track in inputs:
             if track.name not in names:
                 self.lift(track.name)
@@ -141,13 +145,6 @@ class FusedLayers:
             return None
         parts = [self.vote(names, part, has_young=self.has_young) for part in joined(boxes)]
         return moved(reduce(hull, parts), -self.box.row0, -self.box.col0)
-
-    def _keep_agreed(self, names: Sequence[str]) -> None:
-        """Keep the fused map of a majority while there are too few voters for one."""
-        if len(names) >= MAJORITY:
-            self.agreed = None
-        elif len(self.names) >= MAJORITY:
-            self.agreed = self.last_fused()
 
     def _make_room(self, track: Input, reference: str) -> bool:
         """Grow the layers to hold an input's new cells; return whether they grew."""
