@@ -222,11 +222,11 @@ def run_producer(
     if not feed_s or not mapper.health.scans_used:
         raise SlamFusionError(_nothing_used(mapper, record, len(feed_s)))
     grid, trajectory = mapper.grid(), mapper.trajectory()
-    time_s = time.perf_counter() - begun_s
+    time_s, rows = time.perf_counter() - begun_s, np.array(odometry)
     return ProducerRun(
         name=mapper.name,
         trajectory=trajectory,
-        odometry=_trajectory(odometry),
+        odometry=Trajectory(rows[:, 0], rows[:, 1:], "odometry") if odometry else None,
         grid=grid,
         health=copy.deepcopy(mapper.health),  # the producer may go on
         log=record,
@@ -242,14 +242,6 @@ def run_producer(
         closures=tuple(mapper.closures()) if isinstance(mapper, ClosesLoops) else (),
         match_scores=np.array(scores),
     )
-
-
-def _trajectory(rows: list[tuple[float, float, float, float]]) -> Trajectory | None:
-    """Return raw odometry as a trajectory; None for none."""
-    if not rows:
-        return None
-    table = np.array(rows)
-    return Trajectory(table[:, 0], table[:, 1:], "odometry")
 
 
 def _nothing_used(mapper: Mapper, record: LogRecord | None, fed: int) -> str:

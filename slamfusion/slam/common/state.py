@@ -302,11 +302,8 @@ def _flat(values: dict[str, Any], where: str = "") -> dict[str, Any]:
     return flat
 
 
-Array = npt.NDArray[Any]
-
-
 def check_arrays(
-    arrays: Mapping[str, Array], wanted: Mapping[str, tuple[npt.DTypeLike, str]]
+    arrays: Mapping[str, npt.NDArray[Any]], wanted: Mapping[str, tuple[npt.DTypeLike, str]]
 ) -> dict[str, int]:
     """Refuse arrays of other dtypes or shapes, such as ``N 3``; return the length of each letter.
 

@@ -61,6 +61,9 @@ class _Tiles:
         page_tables: ``pages`` on the device.
     """
 
+    # Saved arrays with a number for each tile.
+    PER_TILE: tuple[str, ...] = ()
+
     def __init__(
         self,
         device: ComputeDevice,
@@ -144,14 +147,19 @@ class _Tiles:
         first, last = corners(places)
         return first * TILE, (last + 1) * TILE
 
-    def _restore(self, arrays: Mapping[str, Array], *others: str) -> None:
-        """Restore saved pools, pages and corner."""
+    def to_arrays(self) -> dict[str, Array]:
+        """Return everything as arrays, for saving; tiles keep their numbers."""
+        pools = {f"pool_{name}": self._device.download(p) for name, p in self.pools.items()}
+        return {"pages": self.pages, "corner": self.corner, **pools}
+
+    def restore(self, arrays: Mapping[str, Array]) -> None:
+        """Take over what ``to_arrays`` returned, with the pools that it has."""
         kept = {name: pool for name, pool in self.pools.items() if f"pool_{name}" in arrays}
         wanted: dict[str, tuple[npt.DTypeLike, str]] = {
             "pages": (np.int32, "N H W" if self.pages.ndim > 2 else "H W"),
             "corner": (np.int64, "2"),
             **{f"pool_{name}": (pool.dtype, f"T {TILE} {TILE}") for name, pool in kept.items()},
-            **dict.fromkeys(others, (np.int32, "T")),
+            **dict.fromkeys(self.PER_TILE, (np.int32, "T")),
         }
         lengths = check_arrays(arrays, wanted)
         if arrays["pages"].size > MOST_PAGES * max(len(arrays["pages"]), 1):
@@ -160,6 +168,7 @@ class _Tiles:
         check_indices("corner", arrays["corner"], MOST_SIDE, first=-MOST_SIDE)
         self.pages, self.corner = arrays["pages"].copy(), arrays["corner"].copy()
         self.pools = {name: self._device.upload(arrays[f"pool_{name}"]) for name in kept}
+        self._send()
 
     def _send(self) -> None:
         self.page_tables = self._device.upload(self.pages)
@@ -186,16 +195,6 @@ class TileMap(_Tiles):
             device.mark_scan(self.pools, self.page_tables, again, rule, self._wanted)
         device.integrate_scan(self.pools, self.page_tables, handle, rule)
 
-    def to_arrays(self) -> dict[str, Array]:
-        """Return everything as arrays, for saving."""
-        pools = {f"pool_{name}": self._device.download(p) for name, p in self.pools.items()}
-        return {"pages": self.pages, "corner": self.corner, **pools}
-
-    def restore(self, arrays: Mapping[str, Array]) -> None:
-        """Take over what ``to_arrays`` returned, with the pools that it has."""
-        self._restore(arrays)
-        self._send()
-
     def keep_only(self, name: str) -> None:
         """Free every pool but one; the map becomes read-only."""
         self.pools = {name: self.pools[name]}
@@ -217,6 +216,8 @@ class TileMap(_Tiles):
 
 class SharedTileMaps(_Tiles):
     """N maps that share equal tiles; pages are (N, PH, PW), unseen cells 0."""
+
+    PER_TILE = ("users",)
 
     def __init__(
         self, device: ComputeDevice, count: int, pools: Mapping[str, npt.DTypeLike]
@@ -286,18 +287,16 @@ class SharedTileMaps(_Tiles):
         self._send()
 
     def to_state(self) -> dict[str, Array]:
-        """Return everything as arrays, for saving; tiles keep their numbers."""
-        pools = {f"pool_{name}": self._device.download(p) for name, p in self.pools.items()}
-        return {"pages": self.pages, "corner": self.corner, "users": self._users, **pools}
+        """Return everything as arrays, for saving."""
+        return {**self.to_arrays(), "users": self._users}
 
-    def restore(self, state: Mapping[str, Array]) -> None:
+    def restore(self, arrays: Mapping[str, Array]) -> None:
         """Take over what ``to_state`` returned."""
-        self._restore(state, "users")
-        users = np.bincount(state["pages"].ravel(), minlength=self.tiles)
-        if not np.array_equal(users[1:], state["users"][1:]):
+        super().restore(arrays)
+        users = np.bincount(arrays["pages"].ravel(), minlength=self.tiles)
+        if not np.array_equal(users[1:], arrays["users"][1:]):
             raise ValueError("users: not as many as the pages have")
-        self._users = state["users"].copy()
-        self._send()
+        self._users = arrays["users"].copy()
 
     def _take(self, count: int) -> npt.NDArray[np.int64]:
         """Return the numbers of ``count`` free tiles; grow the pools if needed."""
