@@ -73,7 +73,7 @@ class Rows(Stateful):
     """A table of float64 that grows by a row at a time, in a tenth of the memory of a list."""
 
     def __init__(self, columns: int) -> None:
-        self._table = np.empty((64, columns))
+        self.table = np.empty((64, columns))
         self._count = 0
 
     def __len__(self) -> int:
@@ -81,14 +81,14 @@ class Rows(Stateful):
 
     def append(self, *row: float) -> None:
         """Add a row."""
-        if self._count == len(self._table):
-            self._table = np.concatenate((self._table, np.empty_like(self._table)))
-        self._table[self._count] = row
+        if self._count == len(self.table):
+            self.table = np.concatenate((self.table, np.empty_like(self.table)))
+        self.table[self._count] = row
         self._count += 1
 
     def array(self) -> npt.NDArray[np.float64]:
         """Return a copy, (N, columns)."""
-        return self._table[: self._count].copy()
+        return self.table[: self._count].copy()
 
     def to_state(self) -> dict[str, Any]:
         """Return the rows."""
@@ -97,8 +97,8 @@ class Rows(Stateful):
     def restore(self, state: Mapping[str, Any]) -> None:
         """Take over what ``to_state`` returned."""
         rows = state["rows"]
-        check_arrays(state, {"rows": (np.float64, f"N {self._table.shape[1]}")})
-        self._table = np.concatenate((rows, np.empty((64, self._table.shape[1]))))
+        check_arrays(state, {"rows": (np.float64, f"N {self.table.shape[1]}")})
+        self.table = np.concatenate((rows, np.empty((64, self.table.shape[1]))))
         self._count = len(rows)
 
 

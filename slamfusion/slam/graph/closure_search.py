@@ -22,7 +22,7 @@ import numpy.typing as npt
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import GraphConfig
-from slamfusion.geometry import F64, wrap_angle, wrap_angles
+from slamfusion.geometry import F64, Pose2, row_of, wrap_angle, wrap_angles
 from slamfusion.slam.common.matcher import (
     STARTS,
     PoseHypothesis,
@@ -268,6 +268,12 @@ class ClosureSearch:
         away = np.hypot(*(coarse - expected)[:2])
         turn = abs(wrap_angle(float(coarse[2] - expected[2])))
         return expected, bool(away <= EXPECTED_M and turn <= EXPECTED_RAD)
+
+    def unseen_share(self, submap: Submap, points: F64, pose: Pose2) -> float:
+        """Return the share of a scan's hits (P, 2) at a pose that a submap has not seen."""
+        walls = self._kept(submap).walls()
+        scan = ScanOnTiles(self._device, walls, points, self._config.matcher.beams)
+        return scan.unseen_share(row_of(pose), UNSEEN_WALL)
 
     def _only_place(
         self,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -23,39 +24,66 @@ from slamfusion.slam.graph.submap import UNSEEN_WALL, Submap, fill_walls, seen_s
 WALL_CELLS = 1.0
 # A scan with this share of its hits where the local map has seen nothing is not bad.
 MOST_UNSEEN = 0.8
+# Scans, as far apart as nodes, that are written into a new submap where the robot leaves a known
+# place.
+RECENT_SCANS = 6
 # A match below this share of the usual score is bad. Right after a reset of the odometry the second
 # share applies: the robot may have been switched off and moved.
 BAD_SHARE, RESET_SHARE = 0.6, 0.8
 
 
+@dataclass(frozen=True, eq=False)
+class KnownScan:
+    """A scan in a known place: its pose in the active submap, and its row of the driven path."""
+
+    node: Node
+    local: Pose2
+    row: int
+
+
 class LocalMap(Stateful):
     """Submaps in the order of their anchors, and the map components they are in.
 
-    The robot is followed in the frame of the active submap; those before it are finished. Half way
-    through it the next one starts, and when it is full that one becomes the active one. Matches
-    place the submaps of one component relative to each other; only odometry places components.
+    The robot is followed in the frame of the active submap. In a new place that one grows: half way
+    through it the next one starts, and when it is full that one becomes the active one. In a known
+    place it is a finished one, and none grows; the robot leaves it with a new one. Matches place
+    the submaps of one component relative to each other; only odometry places components.
 
     Attributes:
         components: number of the map component of each submap.
+        finished: number of finished submaps; those after them grow.
         active: index of the active submap.
-        node_pose: pose of the last node in its frame.
+        node, node_pose: number of the node that the robot's pose is kept relative to, and its pose
+            in the active submap's frame.
+        seen_from: pose in it at the last node or known scan.
+        recent: the last scans in a known place.
     """
 
-    STATE = ("components", "active", "node_pose", "_begun")
+    STATE = (
+        "components",
+        "finished",
+        "active",
+        "node",
+        "node_pose",
+        "seen_from",
+        "recent",
+        "_next_pose",
+    )
 
     def __init__(self, config: GraphConfig, device: ComputeDevice, health: GraphHealth) -> None:
         self.submaps: list[Submap] = []
         self.components: list[int] = []
-        self.active = 0
-        self.node_pose = IDENTITY
+        self.finished = self.active = self.node = 0
+        self.node_pose = self.seen_from = IDENTITY
         self._config = config
         self._device = device
         self._health = health
         # Of the finished submaps: anchors (S,), and corners (S, 2), metres, of the boxes around
         # the robot's places.
         self._boxes = (np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 2)))
-        # Pose of each new submap in the frame of the one before it, by their anchors.
-        self._begun: dict[tuple[int, int], Pose2] = {}
+        self.recent: list[KnownScan] = []
+        # Pose of the submap that grows next to the active one, in the frame of that.
+        self._next_pose = IDENTITY
 
     # -- what there is -------------------------------------------------------------------------
 
@@ -70,6 +98,11 @@ class LocalMap(Stateful):
         return self.components[self.active]
 
     @property
+    def is_known(self) -> bool:
+        """Whether the robot is in a known place, where no submap grows."""
+        return self.finished == len(self.submaps)
+
+    @property
     def component_count(self) -> int:
         """Map components that nothing but odometry places to each other."""
         return len(set(self.components))
@@ -82,15 +115,15 @@ class LocalMap(Stateful):
     def in_other_components(self) -> list[int]:
         """Return the finished submaps of the components that the robot is not in."""
         own = self.active_component
-        return [index for index in range(self.active) if self.components[index] != own]
+        return [index for index in range(self.finished) if self.components[index] != own]
 
     def distances_m(self, pose: Pose2, poses: F64) -> F64:
         """Return the distance of a pose to the robot's places in each finished submap, (S,) metres.
 
         The pose and the nodes' poses (N, 3) are in the map frame; 0 within the places' box.
         """
-        if len(self._boxes[0]) != self.active:
-            finished = self.submaps[: self.active]
+        if len(self._boxes[0]) != self.finished:
+            finished = self.submaps[: self.finished]
             self._boxes = (
                 np.array([submap.anchor for submap in finished], dtype=np.int64),
                 np.array([submap.low for submap in finished]).reshape(-1, 2),
@@ -123,12 +156,41 @@ class LocalMap(Stateful):
 
     def begin(self, number: int, node: Node, component: int) -> None:
         """Start a submap at a node that no other overlaps; the earlier ones are finished."""
-        for submap in self.submaps[self.active :]:
-            submap.finish()
-        begun = self._append(number, component)
-        self.active = len(self.submaps) - 1
-        begun.insert(*self._walls_of(node), IDENTITY)
-        self.node_pose = IDENTITY
+        self._finish()
+        self.active = self.finished
+        self._append(number, component).insert(*self._walls_of(node), IDENTITY)
+        self._set_node(number, IDENTITY)
+        self.recent = []
+
+    def follow(self, index: int, change: Pose2) -> None:
+        """Follow the robot in a finished submap, and finish the others.
+
+        ``change`` is the pose of the active one in its frame. One with too few scans to be found
+        again is dropped: it overlaps the one before it.
+        """
+        self.recent = [replace(one, local=change.compose(one.local)) for one in self.recent]
+        self.seen_from = change.compose(self.seen_from)
+        if (
+            not self.is_known
+            and self.submaps[-1].scans < self._config.loop_match_minimum_chain_size
+        ):
+            del self.submaps[-1], self.components[-1]
+            self._health.submaps = len(self.submaps)
+        self._finish()
+        self.active, self.node, self.node_pose = index, self.submaps[index].anchor, IDENTITY
+
+    def remember(self, scan: KnownScan) -> None:
+        """Keep a scan in a known place, one of the last few, for when the robot leaves it."""
+        self.recent = [*self.recent[1 - RECENT_SCANS :], scan]
+        self.seen_from = scan.local
+
+    def leave(self, number: int) -> None:
+        """Start a submap at the last scan in a known place, which is a node now."""
+        *before, last = self.recent
+        self.begin(number, last.node, self.active_component)
+        back = last.local.inverse()
+        for scan in before:
+            self.active_submap.insert(*self._walls_of(scan.node), back.compose(scan.local))
 
     def constraints(
         self, number: int, points: F64, local: Pose2, hessian: F64 | None
@@ -145,29 +207,28 @@ class LocalMap(Stateful):
             information = information_of(hessian)
         information = INFORMATION_SHARE * information
         found = [Constraint(active.anchor, number, row, information)]
-        for other in self.submaps[self.active + 1 :]:
-            between = self._begun[active.anchor, other.anchor]
+        if self.finished + 1 < len(self.submaps):
+            between = self._next_pose
             motion = wrapped_row_of(between.inverse().compose(local))
             seen = turned(information[None], np.array([-between.yaw_rad]))[0]
-            found.append(Constraint(other.anchor, number, motion, seen))
+            found.append(Constraint(self.submaps[-1].anchor, number, motion, seen))
         return found
 
     def insert(self, number: int, node: Node, local: Pose2) -> Pose2:
         """Write a node into the growing submaps; return its pose in the then active submap."""
-        config, walls, active = self._config, self._walls_of(node), self.active_submap
+        walls, active = self._walls_of(node), self.active_submap
         active.insert(*walls, local)
-        if self.active + 1 < len(self.submaps):
-            other = self.submaps[self.active + 1]
-            inside = self._begun[active.anchor, other.anchor].inverse().compose(local)
-            other.insert(*walls, inside)
-            if active.scans >= config.scan_buffer_size:
+        if self.finished + 1 < len(self.submaps):
+            inside = self._next_pose.inverse().compose(local)
+            self.submaps[-1].insert(*walls, inside)
+            if active.scans >= self._config.scan_buffer_size:
                 active.finish()
-                self.active += 1
+                self.finished = self.active = len(self.submaps) - 1
                 local = inside
-        elif active.scans >= config.scan_buffer_size // 2:
-            self._begun[active.anchor, number] = local
-            self._append(number, self.components[-1]).insert(*walls, IDENTITY)
-        self.node_pose = local
+        elif active.scans >= self._config.scan_buffer_size // 2:
+            self._next_pose = local
+            self._append(number, self.active_component).insert(*walls, IDENTITY)
+        self._set_node(number, local)
         return local
 
     def join(self, other: int, node_count: int) -> tuple[npt.NDArray[np.bool_], bool]:
@@ -196,6 +257,14 @@ class LocalMap(Stateful):
         for arrays, component in zip(state["submaps"], state["components"], strict=True):
             self._append(0, component).restore(arrays)
         super().restore(state)
+
+    def _finish(self) -> None:
+        for submap in self.submaps[self.finished :]:
+            submap.finish()
+        self.finished = len(self.submaps)
+
+    def _set_node(self, number: int, pose: Pose2) -> None:
+        self.node, self.node_pose, self.seen_from = number, pose, pose
 
     def _append(self, anchor: int, component: int) -> Submap:
         config = self._config

@@ -258,6 +258,15 @@ def _covering(submaps: list[int]) -> list[int]:
     ]
 
 
+# A place is known where the robot has been in this number of submaps: some visits make the map
+# good, more would only make it larger.
+KNOWN_SUBMAPS, KNOWN_TRIES = 6, 3
+# Share of a scan's hits that may be unseen in the submap in which the robot is followed there: when
+# it comes into a known place, and until it leaves the submap; and how far the scan may lie there
+# from where graph and odometry expect it, metres and radians.
+ENTER_UNSEEN, LEAVE_UNSEEN = 0.15, 0.3
+KNOWN_M, KNOWN_RAD = 0.4, 0.2
+
 # Why a closure is not accepted yet, in the published words of the health record.
 PENDING = "not confirmed by another"
 
@@ -321,6 +330,54 @@ class LoopClosure(Stateful):
         graph.solve_if_due(number)
 
     # -- where to search -----------------------------------------------------------------------
+
+    def is_shown(self, points: F64, local: Pose2) -> bool:
+        """Return whether the active submap shows what a scan sees; see ``known_place``."""
+        active = self._local_map.active_submap
+        return self._search.unseen_share(active, points, local) <= LEAVE_UNSEEN
+
+    def known_place(self, points: F64, local: Pose2, mean_score: float) -> tuple[int, Pose2] | None:
+        """Return a finished submap that shows what a scan sees, and the active one's pose in it.
+
+        None where the place is not well known: too few submaps are of it, or none shows it.
+
+        Args:
+            points: (P, 2) hits in the robot's frame, metres.
+            local: pose in the active submap's frame.
+            mean_score: running mean score of the tracker, 0 to 1.
+        """
+        graph, local_map, search = self._graph, self._local_map, self._search
+        least_scans = self._config.loop_match_minimum_chain_size
+        # A robot that is lost, or a path with a gap, still needs nodes with closures.
+        is_whole = local_map.component_count == 1 and self._failure_node is None
+        is_short = not local_map.is_known and local_map.active_submap.scans < least_scans
+        if not (self._config.do_loop_closing and is_whole) or is_short:
+            return None
+        pose = graph.pose(local_map.active_submap.anchor).compose(local)
+        shown = []
+        for index in np.flatnonzero(local_map.distances_m(pose, graph.poses) < INSIDE_M).tolist():
+            submap = local_map.submaps[index]
+            if (
+                local_map.components[index] == local_map.active_component
+                and index != local_map.active
+                and submap.scans >= least_scans
+            ):
+                expected = graph.pose(submap.anchor).inverse().compose(pose)
+                shown.append((search.unseen_share(submap, points, expected), index, expected))
+        if not local_map.is_known and len(shown) < KNOWN_SUBMAPS:
+            return None
+        most_unseen = LEAVE_UNSEEN if local_map.is_known else ENTER_UNSEEN
+        for unseen, index, expected in sorted(shown, key=lambda one: one[:2])[:KNOWN_TRIES]:
+            if unseen > most_unseen:
+                break
+            row = wrapped_row_of(expected)
+            found = search.near(local_map.submaps[index], points, row, LEAST_DRIFT_M, mean_score)
+            if isinstance(found, Found):
+                there = pose_of(found.pose)
+                if is_same_place(there, expected, KNOWN_M, KNOWN_RAD):
+                    self._linked_m[index] = graph.travelled_m
+                    return index, there.compose(local.inverse())
+        return None
 
     def _candidates(self, number: int, pose: Pose2) -> list[LoopCandidate]:
         """Return older submaps that the robot may be in again, the nearest ones."""

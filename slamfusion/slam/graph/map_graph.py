@@ -10,7 +10,7 @@ import importlib
 import math
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, cast
 
 import numpy as np
@@ -102,6 +102,13 @@ class DrivenPath(Stateful):
         self._scans.append(stamp_s, node, moved.x, moved.y, moved.yaw_rad)
         self._reported.append(pose.x, pose.y, pose.yaw_rad)
 
+    def __len__(self) -> int:
+        return len(self._scans)
+
+    def set_node(self, row: int, number: int) -> None:
+        """Make a scan the one of a node."""
+        self._scans.table[row, 1:] = number, 0.0, 0.0, 0.0
+
     def series(self) -> tuple[Series, ...]:
         """Return the series to be plotted."""
         if not len(self.responses):
@@ -137,6 +144,8 @@ ODOMETRY_M, ODOMETRY_M_PER_M = 0.05, 0.1
 ODOMETRY_RAD, ODOMETRY_RAD_PER_RAD = 0.05, 0.1
 # Difference between odometry and match, in these deviations, above which a step is left out.
 ODOMETRY_GATE = 3.0
+# Difference above which the odometry is not looked at: it was reset.
+MOST_DOUBT_M = 5.0
 # Deviations of the constraint between two local maps that no match joins, metres and radians: it
 # only keeps the equations solvable.
 FREE_SIGMAS = (10.0, 10.0, 3.0)
@@ -305,32 +314,40 @@ class MapGraph(Stateful):
         self._health.nodes = len(self.nodes)
         return len(self.nodes) - 1
 
-    def add_odometry(self, number: int, matched: Pose2) -> None:
-        """Join a node to the previous one by odometry, unless the match contradicts it.
+    def add_matches(self, number: int, matches: Sequence[Constraint], moved: Pose2) -> None:
+        """Add the matches of a node, and join it to the previous one by odometry.
 
-        ``matched`` is the match's pose in the frame of the previous node.
+        ``moved`` is the match's pose in the frame of the previous node. Where it contradicts the
+        odometry, there is no such join, and the matches are as uncertain as they differ: along
+        walls that look alike a match may stay behind.
         """
         node, before = self.nodes[number], self.nodes[number - 1]
         if node.odometry is None or before.odometry is None:
+            self.constraints += matches
             return
         step = before.odometry.inverse().compose(node.odometry)
         driven_m, turn_rad = math.hypot(step.x, step.y), abs(wrap_angle(step.yaw_rad))
         sigma_m = ODOMETRY_M + ODOMETRY_M_PER_M * driven_m
         sigmas = np.array([sigma_m, sigma_m, ODOMETRY_RAD + ODOMETRY_RAD_PER_RAD * turn_rad])
-        away = wrapped_row_of(step.inverse().compose(matched))
-        away[2] = wrap_angle(away[2])
+        away = wrapped_row_of(step.inverse().compose(moved))
         if (np.abs(away / sigmas) < ODOMETRY_GATE).all():
             information = INFORMATION_SHARE * np.diag(sigmas**-2.0)
-            motion = wrapped_row_of(step)
-            self.constraints.append(Constraint(number - 1, number, motion, information))
+            odometry = Constraint(number - 1, number, wrapped_row_of(step), information)
+            self.constraints += [*matches, odometry]
+            return
+        off_m = math.hypot(away[0], away[1])
+        for one in matches:
+            doubt = np.diag([off_m**2, off_m**2, 0.0]) if off_m < MOST_DOUBT_M else 0.0
+            information = np.linalg.inv(np.linalg.inv(one.information) + doubt)
+            self.constraints.append(replace(one, information=information))
 
-    def add_beyond_gap(self, node: Node, moved: Pose2) -> int:
-        """Add a node joined to the previous one by odometry only; return its number.
+    def add_beyond_gap(self, node: Node, before: int, moved: Pose2) -> int:
+        """Add a node joined to an earlier one by odometry only; return its number.
 
-        ``moved`` is its pose in the frame of the previous node.
+        ``moved`` is its pose in the frame of the earlier node.
         """
-        number = self.add_node(node, self.pose(len(self.nodes) - 1).compose(moved))
-        ends, motion = (number - 1, number), wrapped_row_of(moved)
+        number = self.add_node(node, self.pose(before).compose(moved))
+        ends, motion = (before, number), wrapped_row_of(moved)
         for sigmas, is_closure in ((FREE_SIGMAS, False), (GAP_SIGMAS, True)):
             information = np.diag(np.square(1.0 / np.array(sigmas)))
             self.constraints.append(Constraint(*ends, motion, information, is_closure=is_closure))

@@ -13,13 +13,14 @@ Sources: Olson, ICRA 2009 [O09] (correlative matching, its covariance); Konolige
 from __future__ import annotations
 
 import math
+from typing import cast
 
 import numpy as np
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import GraphConfig
 from slamfusion.errors import SlamFusionError
-from slamfusion.geometry import Pose2, pose_of, wrap_angle
+from slamfusion.geometry import F64, Pose2, pose_of, wrap_angle
 from slamfusion.grid import IDENTITY, OccupancyGrid
 from slamfusion.scan import LaserScan
 from slamfusion.slam.common.mapper import Closure, MapJob, Series, Step
@@ -27,7 +28,7 @@ from slamfusion.slam.common.matcher import PoseHypothesis
 from slamfusion.slam.common.runner import FIRST_REPORTED
 from slamfusion.slam.common.state import SavedMapper
 from slamfusion.slam.graph.closure_search import ClosureSearch
-from slamfusion.slam.graph.local_map import LocalMap
+from slamfusion.slam.graph.local_map import KnownScan, LocalMap
 from slamfusion.slam.graph.localizer import Localizer, Observation
 from slamfusion.slam.graph.loop_closure import LoopClosure, PendingClosure, RelocalizationHypothesis
 from slamfusion.slam.graph.map_graph import (
@@ -44,16 +45,19 @@ from slamfusion.trajectory import Trajectory
 NAME = "graph"
 # Time without a scan, seconds, above which it counts as a pause: the robot may have been moved.
 PAUSE_S = 60.0
+# A match in a known place below this share of the usual score: the place has changed.
+CHANGED_SHARE = 0.65
 
 
 class GraphSlam(SavedMapper):
     """The graph SLAM behind the ``Mapper`` protocol."""
 
     name = NAME
-    STATE_FORMAT = 10
+    STATE_FORMAT = 11
     STATE_KINDS = (
         Constraint,
         GraphHealth,
+        KnownScan,
         Node,
         PendingClosure,
         RelocalizationHypothesis,
@@ -104,6 +108,16 @@ class GraphSlam(SavedMapper):
         return step
 
     def _follow(self, seen: Observation, hypotheses: list[PoseHypothesis]) -> Step:
+        # In a known place: does the submap show what the scan sees?
+        expected = pose_of(hypotheses[0].pose)
+        if self._local_map.is_known and self._is_far(expected) and not self._localizer.has_jumped:
+            mean_score = self._localizer.running_mean_score or 0.0
+            if not self._loops.is_shown(seen.points, expected) and not self._follow_known(
+                seen.points, expected, mean_score
+            ):
+                self._leave_known()
+            hypotheses = self._localizer.hypotheses(seen.scan.stamp_s, seen.odometry)
+
         # Find the scan on the local map. Is the robot still there?
         found = self._localizer.localize(seen, hypotheses)
         self.health.scans_used += 1
@@ -119,43 +133,77 @@ class GraphSlam(SavedMapper):
             self._loops.tracking_failed()
             return self._begin_again(seen, found.local, self._local_map.active_component)
 
-        # Has it gone far enough for a node?
-        moved = self._local_map.node_pose.inverse().compose(found.local)
-        is_far = (
-            math.hypot(moved.x, moved.y) >= self._config.minimum_travel_distance
-            or abs(wrap_angle(moved.yaw_rad)) >= self._config.minimum_travel_heading
-        )
-        if found.status == "unsure" or not is_far:
-            return self._report(seen, found.local, found.score)
+        # Has it gone far enough for a node? In a known place none is needed.
+        local = found.local
+        if found.status == "unsure" or not self._is_far(local):
+            return self._report(seen, local, found.score)
+        mean_score = self._localizer.running_mean_score or 0.0
+        if self._local_map.is_known or self._follow_known(seen.points, local, mean_score):
+            local = cast("Pose2", self._localizer.pose)
+            node = seen.node(self._graph.travelled_m)
+            self._local_map.remember(KnownScan(node, local, len(self._path)))
+            step = self._report(seen, local, found.score)
+            if found.score < CHANGED_SHARE * mean_score and not self._follow_known(
+                seen.points, local, mean_score
+            ):
+                self._leave_known()
+            return step
 
         # Add the node to the graph, with constraints to the submaps and by odometry.
+        moved = self._local_map.node_pose.inverse().compose(local)
         travelled_m = self._graph.travelled_m + math.hypot(moved.x, moved.y)
         anchor = self._local_map.active_submap.anchor
-        pose = self._graph.pose(anchor).compose(found.local)
+        pose = self._graph.pose(anchor).compose(local)
         number = self._graph.add_node(seen.node(travelled_m), pose)
-        self._graph.constraints += self._local_map.constraints(
-            number, seen.points, found.local, found.hessian
-        )
-        self._graph.add_odometry(number, moved)
+        matches = self._local_map.constraints(number, seen.points, local, found.hessian)
+        self._graph.add_matches(number, matches, moved)
         self._path.responses.append(seen.scan.stamp_s, found.score)
 
         # Write it into the local map, whose active submap may change.
-        local = self._local_map.insert(number, self._graph.nodes[number], found.local)
+        local = self._local_map.insert(number, self._graph.nodes[number], local)
         self._localizer.pose = local
 
         if self._config.do_loop_closing:
             self._loops.close(number, seen.points, self._localizer.running_mean_score or 0.0)
         return self._report(seen, local, found.score)
 
+    def _is_far(self, local: Pose2) -> bool:
+        """Return whether a pose in the active submap is as far from the last one as nodes are."""
+        moved = self._local_map.seen_from.inverse().compose(local)
+        return (
+            math.hypot(moved.x, moved.y) >= self._config.minimum_travel_distance
+            or abs(wrap_angle(moved.yaw_rad)) >= self._config.minimum_travel_heading
+        )
+
+    def _follow_known(self, points: F64, local: Pose2, mean_score: float) -> bool:
+        """Follow the robot in another finished submap, if the place is well known."""
+        place = self._loops.known_place(points, local, mean_score)
+        if place is not None:
+            index, change = place
+            self._local_map.follow(index, change)
+            self._localizer.pose = change.compose(cast("Pose2", self._localizer.pose))
+        return place is not None
+
+    def _leave_known(self) -> None:
+        """Make the last known scan a node, and start a submap there."""
+        last, anchor = self._local_map.recent[-1], self._local_map.node
+        number = self._graph.add_node(last.node, self._graph.pose(anchor).compose(last.local))
+        self._graph.constraints += self._local_map.constraints(
+            number, last.node.points(), last.local, None
+        )
+        self._path.set_node(last.row, number)
+        self._local_map.leave(number)
+        self._localizer.pose = last.local.inverse().compose(cast("Pose2", self._localizer.pose))
+
     def _report(
         self, seen: Observation, local: Pose2, score: float | None, reason: str = ""
     ) -> Step:
         """Report a pose in the active submap's frame as one in the map frame."""
-        last = len(self._graph.nodes) - 1
+        node = self._local_map.node
         moved = self._local_map.node_pose.inverse().compose(local)
-        pose = self._graph.pose(last).compose(moved)
+        pose = self._graph.pose(node).compose(moved)
         pose = Pose2(pose.x, pose.y, wrap_angle(pose.yaw_rad))
-        self._path.add(seen.scan.stamp_s, last, moved, pose)
+        self._path.add(seen.scan.stamp_s, node, moved, pose)
         return Step(pose, not reason, score, reason)
 
     # -- where it begins -----------------------------------------------------------------------
@@ -181,13 +229,13 @@ class GraphSlam(SavedMapper):
 
     def _begin_again(self, seen: Observation, local: Pose2, component: int) -> Step:
         """Start a submap that only odometry joins to the earlier ones; closures may move it."""
-        before = len(self._graph.nodes) - 1
+        before = self._local_map.node
         moved = self._local_map.node_pose.inverse().compose(local)
-        odometry = self._graph.nodes[before].odometry
+        odometry = None if self._local_map.is_known else self._graph.nodes[before].odometry
         if seen.odometry is not None and odometry is not None and not self._localizer.has_jumped:
             moved = odometry.inverse().compose(seen.odometry)
         travelled_m = self._graph.travelled_m + math.hypot(moved.x, moved.y)
-        number = self._graph.add_beyond_gap(seen.node(travelled_m), moved)
+        number = self._graph.add_beyond_gap(seen.node(travelled_m), before, moved)
         self._local_map.begin(number, self._graph.nodes[number], component)
         self._localizer.restart()
         return self._report(seen, IDENTITY, None)

@@ -27,6 +27,7 @@ from tests.slam.places import (
     errors,
     everything,
     false_closures,
+    feed,
     log_of,
     near,
     odometry_error,
@@ -195,6 +196,31 @@ def test_two_rooms_that_look_the_same_stay_two(
     assert away(path, truth)[-1] < 0.1
     assert away(path, truth).max() < 0.4
     assert min(on_truth(slam.grid(), draw_two_rooms())) > 0.8
+
+
+# -- known places ----------------------------------------------------------------------------------
+
+
+def test_in_a_known_place_the_graph_does_not_grow(device: ComputeDevice):
+    """Twice around a ring, the same way back, and again: driving on costs nothing."""
+    log, truth = ring()
+    back = [*log[-2::-1], *log[1:], *log[-2::-1]]
+    on = [
+        replace(item, scan=replace(item.scan, stamp_s=log[-1].scan.stamp_s + 0.1 * (index + 1)))
+        for index, item in enumerate(back)
+    ]
+    slam = feed(run(device, log), on[: len(log)])
+    health = slam.health
+    before = health.nodes, health.submaps
+    saved = slam.memory_bytes()
+    feed(slam, on[len(log) :])
+    assert health.nodes <= before[0] + 10
+    assert health.submaps <= before[1] + 2
+    assert slam.memory_bytes() < 1.1 * saved
+    way = [*truth, *truth[-2::-1], *truth[1:], *truth[-2::-1]]
+    assert len(slam.trajectory()) == len(way)
+    assert away(slam.trajectory(), way).max() < 0.4
+    assert health.warnings() == ()
 
 
 # -- the map ---------------------------------------------------------------------------------------
