@@ -170,10 +170,9 @@ class GraphSlam(SavedMapper):
     def _is_far(self, local: Pose2) -> bool:
         """Return whether a pose in the active submap is as far from the last one as nodes are."""
         moved = self._local_map.seen_from.inverse().compose(local)
-        return (
-            math.hypot(moved.x, moved.y) >= self._config.minimum_travel_distance
-            or abs(wrap_angle(moved.yaw_rad)) >= self._config.minimum_travel_heading
-        )
+        is_turned = abs(wrap_angle(moved.yaw_rad)) >= self._config.minimum_travel_heading
+        way_m = math.hypot(moved.x, moved.y)
+        return bool(is_turned or way_m >= self._config.minimum_travel_distance)
 
     def _follow_known(self, points: F64, local: Pose2, mean_score: float) -> bool:
         """Follow the robot in another finished submap, if the place is well known."""
