@@ -7,7 +7,6 @@ from slamfusion.config.core import (
     Checked as Checked,
     ConfigOption as ConfigOption,
     FieldInfo as FieldInfo,
-    Profiled as Profiled,
     checked_value as checked_value,
     config_fields as config_fields,
     field_infos as field_infos,

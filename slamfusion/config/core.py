@@ -9,7 +9,7 @@ import types
 import typing
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal, Protocol, TypeVar, Union, overload, runtime_checkable
+from typing import Any, Literal, TypeVar, Union, overload
 
 from slamfusion.errors import ConfigError, shown
 
@@ -169,16 +169,6 @@ class Checked:
             _check_value(f"{type(self).__name__}.{info.name}", info, getattr(self, info.name))
 
 
-@runtime_checkable
-class Profiled(Protocol):
-    """A configuration with profiles: values for the open fields; one is ``PUBLISHED``."""
-
-    profile: Any
-
-    def chosen(self) -> Any:
-        """Return the configuration with open fields filled by the profile."""
-
-
 @dataclass(frozen=True)
 class ConfigOption:
     """A leaf field of a configuration and its place in the tree.
@@ -226,8 +216,8 @@ class ConfigOption:
 def config_fields(config: Any, section: str = "") -> Iterator[ConfigOption]:
     """Yield every leaf field of a configuration tree, in order, sections first to last."""
     whole = config() if isinstance(config, type) else config
-    # For a section with profiles: the values of open fields.
-    own = whole.chosen() if isinstance(whole, Profiled) else whole
+    # A section with profiles has ``profile``, and ``chosen`` for the values of its open fields.
+    own = whole.chosen() if hasattr(whole, "chosen") else whole
     published = dataclasses.replace(whole, profile=PUBLISHED).chosen() if own is not whole else None
     for info in field_infos(type(whole)):
         is_open = published is not None and info.default is None
