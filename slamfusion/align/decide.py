@@ -4,15 +4,16 @@ The answer of a search is the best of millions of poses, so it fits well even if
 places. A right answer has no close rival. So it is compared piece by piece of wall (``hypotheses``)
 with **another pose**, **a shift of itself** (a corridor slides along itself), **no relation**
 between the maps, and, if it is better than these, its **mirror image** and **another scale**. ``n``
-is the number of independent pieces of equal weight that prefer the answer. The image has the same
-walls and is no place, so it fits as well as chance allows: for good maps it takes as much from
-``n`` as another pose that fits so well.
+is the number of independent pieces of equal weight that prefer the answer; of good maps without
+what the fitted motion took to agree (``lines``). The image has the same walls and is no place, so
+it fits as well as chance allows: for good maps it takes as much from ``n`` as another pose that
+fits so well.
 
 Two maps of a place are read in three ways; the weight of a piece depends on how well a reading
 fits:
 
-    good      what stays unexplained contradicts         weight = odds(share) / odds(0.85)
-    changed   sharp maps of two times: things moved      weight = odds(share) / ODDS_ONE, at most 1
+    good      what stays unexplained contradicts         weight = odds(share) / ODDS_ONE
+    changed   sharp maps of two times: things moved      weight = twice that, at most 1
     bent      walls lie next to each other, not on them  weight = share of the walls that do
     score = weight * least n
     expected wrong = pairs * prior * TRIALS * exp(-score)    (of one pose without TRIALS)
@@ -64,10 +65,9 @@ GROUND_ONE_M2 = 10_000.0
 START_WRONG = 0.005
 # Share of the walls that is left unexplained by chance.
 UNEXPLAINED_MIN = 0.03
-# Odds of the explained share at which a piece of changed maps counts as one: 0.89 of the walls.
-ODDS_ONE = 8.0
-# Least share of the common walls that two good maps of one place and time explain; a piece of them
-# counts as one there.
+# Odds of the explained share at which a piece of good maps would count as one: 0.77 of the walls.
+ODDS_ONE = 10.0 / 3.0
+# Least share of the common walls that two good maps of one place and time explain.
 SAME_TIME_SHARE = 0.85
 # Metres of wall that are one observation, two widths of a wall: a score is never more than the
 # evidence in nats.
@@ -77,7 +77,8 @@ OBSERVED_M = 0.3
 STOREYS_SHARE = 0.7
 # Half, as a limit of four shares: of the smaller map, the common ground for which TRIALS holds, and
 # above which two places are reported as alike; of the common walls, the least that maps of two
-# times explain; of the evidence, the most another pose may have without a discount.
+# times explain; of the evidence, the most another pose may have without a discount. And of the odds
+# at which a piece counts as one, those of changed maps.
 MOST = 0.5
 # Maps whose scales differ more are rejected.
 SCALE_MAX = 0.03
@@ -209,12 +210,13 @@ def _not_beaten(
             f"best fit explains {_share_of_walls(evidence)}, one of the image "
             f"{evidence.mirrored:.0%} of that",
         )
+    contradiction = "" if evidence.reading == "good" else f"; {_contradiction(evidence)}"
     if not is_enough(evidence.pieces * max(evidence.weight, 1.0)):
         return Decision(
             "too little in common",
             f"too little in common to judge: {evidence.common_m:.1f} m of walls, "
             f"{evidence.pieces:.1f} independent pieces of wall; maps of two places fit so well by "
-            "chance",
+            f"chance{contradiction}",
         )
     if is_enough(evidence.better):
         return Decision(
@@ -233,7 +235,8 @@ def _not_beaten(
         return Decision(
             "ambiguous",
             "ambiguous: the same place twice? the best fit explains "
-            f"{_share_of_walls(evidence)}, and another transform, {rival}, explains {rivalry}",
+            f"{_share_of_walls(evidence)}, and another transform, {rival}, explains {rivalry}"
+            f"{contradiction}",
         )
     return Decision(
         "different place",

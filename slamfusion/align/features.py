@@ -23,6 +23,7 @@ from slamfusion.align.likelihood import (
     likeness,
     score_table,
 )
+from slamfusion.align.lines import PieceLines, piece_lines
 from slamfusion.align.normalize import LEAST_KEPT, NormalizedGrid
 from slamfusion.compute import ComputeDevice
 from slamfusion.compute.arrays import DeviceArray
@@ -311,6 +312,13 @@ class GridFeatures:
         sides = self._facings()[points[:, 1] // 2, points[:, 0] // 2]
         upload = self.device.upload
         return PointPieces(upload(points), upload(starts), upload(sides)), places
+
+    @_kept
+    def piece_lines(self, per_half_cell: float, most: int, width: float, apart: int) -> PieceLines:
+        """Return how the ``pieces`` depend on each other, see ``lines.piece_lines``."""
+        pieces, places = self.pieces(per_half_cell, most)
+        points, starts = map(self.device.download, (pieces.points, pieces.starts))
+        return piece_lines(points, starts[:-1], places, width, apart)
 
     @_kept
     def piece_words(self, sigma: float) -> tuple[EvidenceTable, DeviceArray[Any]]:

@@ -35,7 +35,6 @@ from slamfusion.align.likelihood import likeness
 from slamfusion.align.pair import Pair, displacement
 from slamfusion.align.refine import common_walls, narrow_fits
 from slamfusion.align.scores import (
-    ALIKE,
     GOOD_DOUBT,
     SCORED_POINTS,
     WallPieces,
@@ -72,23 +71,21 @@ class How(NamedTuple):
 
     Attributes:
         widths: of a wall, in narrow ones (``Pair.widths``).
+        sided: for good maps, see ``wall_pieces`` and ``lines``.
         slide: how far the answer is shifted, in widths of this wall: walls in another direction
             hold good maps in place, other maps are held by the whole place.
-        alike: see ``WallPieces``. Few pieces of two good maps are enough, and two pieces of
-            furniture fit by chance; other maps need many pieces, so neighbours count in full.
     """
 
     widths: float
     sided: bool
     doubt: float
     slide: float
-    alike: int
 
 
 READINGS: dict[Reading, How] = {
-    "good": How(1.0, True, GOOD_DOUBT, APART_WIDTHS, ALIKE),
-    "changed": How(1.0, False, 0.0, FARTHEST_WIDTHS, 1),
-    "bent": How(2.0, False, 0.0, FARTHEST_WIDTHS, 1),
+    "good": How(1.0, True, GOOD_DOUBT, APART_WIDTHS),
+    "changed": How(1.0, False, 0.0, FARTHEST_WIDTHS),
+    "bent": How(2.0, False, 0.0, FARTHEST_WIDTHS),
 }
 
 
@@ -97,7 +94,7 @@ def weigh(pair: Pair, motions: F64, reading: Reading, scales: F64 | None = None)
     how = READINGS[reading]
     sigma = how.widths * pair.widths[0]
     pieces = wall_pieces(pair, motions, sigma, scales=scales, sided=how.sided)
-    return replace(pieces, doubt=how.doubt, alike=how.alike)
+    return replace(pieces, doubt=how.doubt)
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,9 +129,8 @@ class Answer:
         if self.reading == "bent":
             return self.hit
         if self.reading == "good":
-            enough = self.share >= SAME_TIME_SHARE
-            return odds(self.share) / odds(SAME_TIME_SHARE) if enough else 0.0
-        return min(odds(self.share) / ODDS_ONE, 1.0) if self.share >= MOST else 0.0
+            return odds(self.share) / ODDS_ONE if self.share >= SAME_TIME_SHARE else 0.0
+        return min(odds(self.share) / (MOST * ODDS_ONE), 1.0) if self.share >= MOST else 0.0
 
     def score(self, hypothesis: Hypothesis) -> float:
         """Return by how much it beats a hypothesis, see ``decide``."""
@@ -258,9 +254,10 @@ def _answer(
         inside = np.array([not is_distinct(motion, chances.start) for motion in motions])
     is_near = inside is not None and bool(inside[best])
     own = pieces.weighed[best]
-    against: dict[Hypothesis, float] = {"no relation": float(pieces.count(own))}
+    left = pieces.left(best) if READINGS[reading].sided else 1.0
+    against: dict[Hypothesis, float] = {"no relation": float(pieces.count(own, left=left))}
     ratios = np.clip(total[others] / max(float(total[best]), 1e-9), 0.0, 1.0)
-    leads = _discounted(pieces.count(own - pieces.weighed[others]), ratios)
+    leads = _discounted(pieces.count(own - pieces.weighed[others], left=left), ratios)
     better = dict(zip(others, leads.tolist(), strict=True))
     away = {k for k in others if is_near and inside is not None and not inside[k]}
     if away:

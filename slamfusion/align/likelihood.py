@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cache, lru_cache
+from functools import cache
 
 import numpy as np
 import numpy.typing as npt
@@ -32,8 +32,6 @@ HIT = 0.75
 STRAY = 0.04
 # Lower limit of the chance, so that one rare wall does not decide.
 CHANCE_MIN = 0.02
-# Cached tables, of 16 KiB each.
-TABLES_KEPT = 128
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +73,6 @@ def score_table(sigma: float, base: int, span: int) -> ScoreTable:
     return ScoreTable(hit, miss, base, span)
 
 
-@lru_cache(maxsize=TABLES_KEPT)
 def evidence_table(chance: float, sigma: float, top: int, doubt: float = 0.0) -> EvidenceTable:
     """Return the table of L, less ``doubt`` times the shortfall from its maximum.
 

@@ -136,9 +136,6 @@ class _ScaleSearch:
         seen = self._ready(reference, max(cell, TRIED_CELL_M))
         tries = [self._aligned(seen, scale) for scale in self.scales[_peaks(gains)].tolist()]
         pair, best = min(tries, key=lambda one: _standing(one[1].alignment))
-        if not _is_here(best.alignment) and _standing(best.alignment)[1] >= 1.0:
-            # At least one equally good wrong answer is expected.
-            return best
         seen, settled = self._ready(reference, cell), []
         for _ in range(ROUNDS):
             evidence = best.alignment.evidence

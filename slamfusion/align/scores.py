@@ -3,8 +3,7 @@
 The cells of one wall fall on another wall all together, or not at all, so they are not independent.
 So the evidence of cells (see ``likelihood``) is summed over pieces, squares of ``PIECE_M`` of the
 map that the walls belong to. A piece is the same under every motion, so two motions can be compared
-piece by piece. Neighbouring pieces, of a wall or of a piece of furniture, are not independent
-either: their correlation falls from 1 to 0 over ``alike`` pieces along either axis.
+piece by piece. Pieces are not independent either, see ``lines``.
 """
 
 from __future__ import annotations
@@ -14,9 +13,9 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
 from slamfusion.align.features import FIELD_TOP, FINE_TABLE, GridFeatures, spread_sample
+from slamfusion.align.lines import PieceLines
 from slamfusion.align.pair import Pair
 from slamfusion.compute.arrays import I32, I64
 from slamfusion.compute.layout import FIXED_ONE
@@ -26,9 +25,10 @@ from slamfusion.geometry import F64
 
 # Side of a piece, metres, for walls of this width; wider walls have larger pieces.
 PIECE_M, PIECE_WIDTH_M = 1.0, 0.15
-# From this number of pieces apart two pieces of good maps are independent: 3 m, the size of large
+# From this number of pieces apart two pieces of good maps are no neighbours: 3 m, the size of large
 # furniture or of a small room.
 ALIKE = 3
+# Sampled wall points of each map for pieces; each stands for its share.
 PIECE_POINTS = 8192
 # Sampled wall points of each map; each stands for its share.
 SCORED_POINTS = 4096
@@ -48,19 +48,17 @@ class WallPieces:
         share_most: (P, B) the reference value for ``share``. For good maps only where the other map
             is known; elsewhere what the pieces give, since unseen ground contradicts nothing.
         seen_m: (P,) metres of wall where the other map has seen something.
-        squares: (B, 3) int64, the map (0 or 1), column and row of each piece.
+        lines: how the pieces depend on each other, of the moving map's and the reference's.
         doubt: weight of the unexplained evidence against a motion. The table of evidence suits bent
             and old maps; two good maps of one place leave little unexplained.
-        alike: from this number of pieces apart two pieces are independent; 1: all are.
     """
 
     evidence: F64
     most: F64
     share_most: F64
     seen_m: F64
-    squares: npt.NDArray[np.int64]
+    lines: tuple[PieceLines, PieceLines]
     doubt: float = 0.0
-    alike: int = 1
 
     @cached_property
     def weighed(self) -> F64:
@@ -89,40 +87,33 @@ class WallPieces:
         most = np.maximum(self.share_most.sum(axis=1), 1e-9)
         return np.asarray(self.evidence.sum(axis=1) / most)
 
-    def count(self, values: F64, noise: float = 0.0) -> F64:
+    def count(self, values: F64, noise: float = 0.0, left: F64 | float = 1.0) -> F64:
         """Return the number of independent pieces of equal weight among values (..., B).
 
         This is (sum)^2 / (the sum of r v w over all pairs of pieces) with values v and w and their
         correlation r; it has the sign of the sum. ``noise`` is added to the divisor, so that small
-        values of many pieces do not count.
+        values of many pieces do not count. Of a positive number only the share counts that is
+        ``left`` (B,) of the values.
         """
-        windows = values
-        if self.alike > 1:
-            index, starts = self._windows
-            windows = np.add.reduceat(values.take(index, axis=-1), starts, axis=-1)
-        squares = np.sum(windows * windows, axis=-1) / self.alike**2 + noise
+        squares = np.asarray(noise)
+        for part, lines in zip(self._by_map(values), self.lines, strict=True):
+            squares = squares + (part * (lines.alike @ part.T).T).sum(axis=-1)
         total = values.sum(axis=-1)
-        return np.asarray(total * np.abs(total) / np.where(squares > 0.0, squares, 1.0))
+        kept = np.where(total > 0.0, np.clip((values * left).sum(axis=-1), 0.0, total), -total)
+        return np.asarray(total * kept / np.where(squares > 0.0, squares, 1.0))
 
-    @cached_property
-    def _windows(self) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
-        """The pieces in each square of ``alike`` by ``alike`` pieces, and the first of each."""
-        steps = np.arange(self.alike)
-        cols, rows = (self.squares[:, axis, None] + steps for axis in (1, 2))
-        columns = self.squares[:, 0, None] * (int(cols.max()) + 1) + cols
-        keys = (columns[:, :, None] * (int(rows.max()) + 1) + rows[:, None, :]).ravel()
-        order = np.argsort(keys, kind="stable")
-        return order // self.alike**2, np.flatnonzero(np.diff(keys[order], prepend=-1))
+    def left(self, row: int) -> F64:
+        """Return (B,) the share of each piece that proves something, see ``lines``."""
+        parts = zip(self._by_map(self.weighed[row]), self.lines, strict=True)
+        return np.concatenate([lines.left(part) for part, lines in parts])
+
+    def _by_map(self, values: F64) -> list[F64]:
+        """Return values (..., B) of the moving map's pieces, and the reference's."""
+        return np.split(values, [len(self.lines[0].straight)], axis=-1)
 
 
 def wall_pieces(
-    pair: Pair,
-    motions: F64,
-    sigma: float,
-    *,
-    scales: F64 | None = None,
-    points: int = PIECE_POINTS,
-    sided: bool = False,
+    pair: Pair, motions: F64, sigma: float, *, scales: F64 | None = None, sided: bool = False
 ) -> WallPieces:
     """Return the evidence of each piece of wall for each motion.
 
@@ -130,21 +121,18 @@ def wall_pieces(
         motions: (P, 3) where the moving centre lands, cells, and yaw.
         sigma: width of a wall in cells.
         scales: (P,) enlarge the moving map about its centre; None: 1.
-        points: at most this number of wall points of each grid; each stands for its share.
         sided: for good maps: a wall seen from another side is another wall, and unknown ground
             lowers no share. Bent or old maps are too inaccurate for that.
     """
     sides = list(pair.sides(motions, scales=scales))
-    found = _pieces(pair, sides, sigma, points, sided=sided)
-    evidence, most, share_most, seen_m, squares = zip(*found, strict=True)
+    found = _pieces(pair, sides, sigma, PIECE_POINTS, sided=sided)
+    evidence, most, share_most, seen_m, (own, other) = zip(*found, strict=True)
     return WallPieces(
         np.concatenate(evidence, axis=1),
         np.concatenate(most, axis=1),
         np.concatenate(share_most, axis=1),
         np.asarray(seen_m[0] + seen_m[1]),
-        np.concatenate(
-            [np.column_stack((np.full(len(own), k), own)) for k, own in enumerate(squares)]
-        ),
+        (own, other),
     )
 
 
@@ -155,8 +143,8 @@ def _pieces(
     most_points: int,
     *,
     sided: bool,
-) -> list[tuple[F64, F64, F64, F64, npt.NDArray[np.int64]]]:
-    """Return what ``WallPieces`` has of each map's pieces; the last, (B, 2), are their squares.
+) -> list[tuple[F64, F64, F64, F64, PieceLines]]:
+    """Return what ``WallPieces`` has of each map's pieces.
 
     Of each side: a map, motions (4, P), and the other map.
     """
@@ -166,19 +154,19 @@ def _pieces(
     looked_up, facts = [], []
     for own, motions, other in sides:
         table, words = other.piece_words(sigma)
-        pieces, squares = own.pieces(*cut)
-        looked_up.append(PieceSide(pieces, motions, words, table.base))
-        facts.append((table, squares, len(own.level(1).points)))
+        looked_up.append(PieceSide(own.pieces(*cut)[0], motions, words, table.base))
+        lines = own.piece_lines(*cut, sigma, ALIKE if sided else 1)
+        facts.append((table, lines, len(own.level(1).points)))
     found = []
     sums = pair.device.piece_sums(*looked_up, sided=sided)
-    for (table, squares, walls), (given, could, met) in zip(facts, sums, strict=True):
+    for (table, lines, walls), (given, could, met) in zip(facts, sums, strict=True):
         # Half, since both maps' walls are counted.
         metres = 0.5 * size * walls / max(1, min(walls, most_points))
         unit = table.unit * metres
         most = met * (table.span * unit)
         share_most = could * unit if sided else most
         seen_m = met.sum(axis=1) * metres
-        found.append((given * unit, most, share_most, seen_m, squares))
+        found.append((given * unit, most, share_most, seen_m, lines))
     return found
 
 

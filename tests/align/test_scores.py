@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from slamfusion.align.features import GridFeatures
+from slamfusion.align.lines import PieceLines, piece_lines
 from slamfusion.align.pair import Pair
 from slamfusion.align.scores import ALIKE, PIECE_M, PIECE_POINTS, WallPieces, wall_pieces
 from slamfusion.align.search import score_motions
@@ -25,12 +27,32 @@ SIGMA = 1.5
 FINITE = st.integers(-400, 400).map(lambda n: n / 8.0)
 
 
-def table_of(
-    evidence: np.ndarray, most: np.ndarray, doubt: float = 0.0, apart: int = ALIKE
-) -> WallPieces:
-    """Pieces in a row, each landing where the other map knows its ground."""
-    squares = apart * np.arange(evidence.shape[1])[:, None] * (0, 1, 0)
-    return WallPieces(evidence, most, most, np.ones(len(evidence)), squares, doubt, ALIKE)
+# Points of a crooked piece of wall and of a straight one, half cells from its middle.
+CROOKED = np.array([(-6, -6), (6, -6), (-6, 6), (6, 6)])
+STRAIGHT = np.array([(-8, 0), (-4, 0), (0, 0), (4, 0), (8, 0)])
+
+
+def lines_of(squares: Sequence[tuple[int, int]], shapes: Sequence[np.ndarray]) -> PieceLines:
+    """Pieces of ten cells at columns and rows."""
+    points = [shape + 20 * np.array(place) for shape, place in zip(shapes, squares, strict=True)]
+    starts = np.cumsum([0, *map(len, points)], dtype=np.int32)[:-1]
+    return piece_lines(
+        np.concatenate(points, dtype=np.int32), starts, np.array(squares), SIGMA, ALIKE
+    )
+
+
+def table_of(evidence: np.ndarray, *lines: PieceLines, apart: int = ALIKE) -> WallPieces:
+    """Pieces that land where the other map knows its ground: of these lines, or crooked in a row.
+
+    Without lines all are of one map; the other has no walls.
+    """
+    count = evidence.shape[1]
+    none = piece_lines(
+        np.empty((0, 2), np.int32), np.empty(0, np.int32), np.empty((0, 2), np.int64), SIGMA, ALIKE
+    )
+    row = lines or [lines_of([(apart * k, 0) for k in range(count)], [CROOKED] * count)]
+    own, other, *_ = *row, none
+    return WallPieces(evidence, evidence, evidence, np.ones(len(evidence)), (own, other))
 
 
 def some_motions(ref: GridFeatures, seed: int, count: int = 6) -> np.ndarray:
@@ -111,14 +133,14 @@ def test_where_the_maps_share_nothing_there_is_no_evidence(device: ComputeDevice
 def test_n_pieces_that_say_the_same_are_n(value: float, count: int, idle: int) -> None:
     """Pieces that say nothing are none; pieces that speak against count with a minus."""
     rows = np.array([[value] * count + [0.0] * idle, [-value] * (count + idle)])
-    assert table_of(rows, rows).count(rows) == pytest.approx([count, -(count + idle)])
+    assert table_of(rows).count(rows) == pytest.approx([count, -(count + idle)])
 
 
 @given(values=st.lists(FINITE, min_size=1, max_size=30))
 def test_what_prefers_one_motion_contradicts_the_other(values: list[float]) -> None:
     row = np.array(values)
-    pieces = table_of(row[None], row[None], apart=1)
-    assert pieces.count(row) == -pieces.count(-row)
+    pieces = table_of(row[None], apart=1)
+    assert pieces.count(row) == pytest.approx(-pieces.count(-row))
 
 
 @pytest.mark.parametrize("apart", range(1, ALIKE + 1))
@@ -126,14 +148,41 @@ def test_neighbouring_pieces_are_less_than_two(apart: int) -> None:
     """Two pieces with correlation r are 2 / (1 + r) independent ones."""
     row = np.array([3.0, 3.0])
     r = 1.0 - apart / ALIKE
-    assert table_of(row[None], row[None], apart=apart).count(row) == pytest.approx(2 / (1 + r))
+    assert table_of(row[None], apart=apart).count(row) == pytest.approx(2 / (1 + r))
 
 
 def test_pieces_of_two_maps_are_independent() -> None:
-    squares = np.array([(0, 4, 7), (1, 4, 7)])
     row = np.array([3.0, 3.0])
-    pieces = WallPieces(row[None], row[None], row[None], np.ones(1), squares, alike=ALIKE)
-    assert pieces.count(row) == 2.0
+    one = lines_of([(4, 7)], [CROOKED])
+    assert table_of(row[None], one, one).count(row) == 2.0
+
+
+def test_pieces_of_one_straight_wall_are_one() -> None:
+    """At any distance; a parallel wall is another, and so are crooked pieces of one row."""
+    row = np.ones(4)
+    places = [(0, 0), (30, 0), (0, 8), (30, 8)]
+    assert table_of(row[None], lines_of(places, [STRAIGHT] * 4)).count(row) == pytest.approx(2.0)
+    assert table_of(row[None], lines_of(places, [CROOKED] * 4)).count(row) == pytest.approx(4.0)
+
+
+def test_of_a_room_of_four_walls_one_is_left() -> None:
+    """The fitted shift and turn take three; crooked walls in the same places are all left."""
+    row = np.ones(8)
+    sides = [(9, 0), (21, 0), (9, 20), (21, 20)], [(0, 4), (0, 16), (30, 4), (30, 16)]
+    places = [*sides[0], *sides[1]]
+    room = table_of(row[None], lines_of(places, [STRAIGHT] * 4 + [STRAIGHT[:, ::-1]] * 4))
+    assert room.count(row) == pytest.approx(4.0)
+    assert room.count(row, left=room.left(0)) == pytest.approx(1.0)
+    assert table_of(row[None], lines_of(places, [CROOKED] * 8)).left(0) == pytest.approx(1.0)
+
+
+def test_evidence_that_contradicts_is_not_spent() -> None:
+    """Nothing was fitted to walls that lie elsewhere, and no share is outside 0 to 1."""
+    row = -np.ones(3)
+    pieces = table_of(row[None], lines_of([(0, 0), (0, 9), (9, 20)], [STRAIGHT] * 3))
+    left = pieces.left(0)
+    assert left.tolist() == [1.0, 1.0, 1.0]
+    assert pieces.count(row, left=left) == pieces.count(row) < 0.0
 
 
 def grown(picture: str, times: int) -> OccupancyGrid:
