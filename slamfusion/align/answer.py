@@ -133,7 +133,7 @@ def _decided(
     if decision.accepted:
         # Two good maps of a place that is nearly symmetric fit both ways.
         others = np.empty((0, 3))
-        if answer.reading != "good" or evidence.expected_wrong >= EXPECTED_WRONG_MAX**3:
+        if answer.reading != "good" or evidence.expected_wrong >= EXPECTED_WRONG_MAX**4:
             is_near = "a pose away from the start" in answer.against
             mirrored = mirror_gain(pair, answer.motion, config, answer.reading, is_near=is_near)
             others = answer.others
