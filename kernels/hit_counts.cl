@@ -148,15 +148,14 @@ INLINE bool is_wall(const uint count, const uint occupied, const uint least_hits
  *
  * is_hit   uchar per beam
  * pages    int, width x height per map; cells of page 0 are left out
- * sign     1, or -1 to take back a scan that was counted at the same places
  * full     int: becomes 1 when a cell is FULL
  * changed  uint, a word per row of a tile, 0 before: cells that are hit, or whether they are occupied
- *          changes; see is_wall. Unused where least_hits is 0
+ *          changes; see is_wall
  */
 __kernel void count_beams(
     SCAN, __global const uchar *is_hit, __global const int *pages, __global uint *counts,
-    __global uint *sums, const int sign, __global int *full, __global uint *changed,
-    const uint occupied, const uint least_hits) {
+    __global uint *sums, __global int *full, __global uint *changed, const uint occupied,
+    const uint least_hits) {
   const int item = get_global_id(0);
   if (item >= maps * beams) {
     return;
@@ -166,15 +165,15 @@ __kernel void count_beams(
   const int2 laser = placed(poses[map], (float2)(laser_x, laser_y), width, height);
   const walk w = walk_of(end.x, end.y, laser.x, laser.y);
   __global const int *own = pages + map * width * height;
-  uint seen = 0, more = (uint)sign;
+  uint seen = 0, more = 1;
   if (is_hit[beam]) {
     const int at = tile_cell(own, width, height, end.x >> BEAM_SHIFT, end.y >> BEAM_SHIFT);
     if (at >= TILE_CELLS) {
       const uint x = (uint)(end.x & BEAM_MASK) >> OFFSET_SHIFT;
       const uint y = (uint)(end.y & BEAM_MASK) >> OFFSET_SHIFT;
-      add_to_word(sums + at, (uint)sign * (x << SUM_SHIFT | y));
+      add_to_word(sums + at, x << SUM_SHIFT | y);
     }
-    more = (uint)sign * (HIT + 1);
+    more = HIT + 1;
   }
   int places[AHEAD];
   for (int first = 0; first <= (int)w.steps; first += AHEAD) {
@@ -183,12 +182,12 @@ __kernel void count_beams(
       if (places[k] >= TILE_CELLS) {
         const uint before = add_to_word(counts + places[k], more), after = before + more;
         seen |= after;
-        if ((before | after) >= HIT && least_hits != 0 &&
+        if (after >= HIT &&
             (more > 1 || is_wall(before, occupied, least_hits) != is_wall(after, occupied, least_hits))) {
           join_word(changed + (places[k] >> TILE_SHIFT), 1u << (places[k] & TILE_MASK));
         }
       }
-      more = (uint)sign;
+      more = 1;
     }
   }
   if (seen & FULL) {

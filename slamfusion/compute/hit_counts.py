@@ -68,17 +68,18 @@ def halve_counts(device: ArrayDevice, pools: dict[str, DeviceArray[Any]]) -> Non
     pools["sums"] = device.upload(sums)
 
 
-def percent_of_counts(counts: U32, threshold: float, least_visits: int = 1) -> npt.NDArray[np.int8]:
+def percent_of_counts(
+    hits: npt.NDArray[Any], visits: npt.NDArray[Any], threshold: float, least_visits: int = 1
+) -> npt.NDArray[np.int8]:
     """Return hits and visits as occupancy in percent.
 
     The percent rises with the share of hits, and the threshold maps to 65, the limit of the map
     servers: walls by the threshold are published as walls, all else as free.
 
     Args:
-        counts: (H, W) uint32, hits above 16 bits of visits.
+        hits, visits: (H, W) uint32.
         threshold: a cell is a wall when more than this share of its visits were hits, 0 to 1.
     """
-    hits, visits = counts >> 16, counts & 0xFFFF
     percent = np.where(visits < least_visits, np.int8(UNKNOWN), np.int8(0))
     # Few cells were hit; the others are free, 0 %.
     some = np.nonzero((hits > 0) & (visits >= least_visits))
@@ -101,7 +102,7 @@ class BeamScan(NamedTuple):
 
     Attributes:
         ends: (B, 2) float32 ends of the beams, cells, in the robot's frame.
-            ``count_beams`` takes up to ``MOST_BEAMS``.
+            ``count_and_settle`` takes up to ``MOST_BEAMS``.
         is_hit: (B,) uint8, 0 where the beam is free up to its end and met nothing.
         laser: (2,) float32, cells, in the robot's frame.
         poses: (N, 4) float32, the robot in each map: x, y in cells of the window, cos, sin.
@@ -131,13 +132,6 @@ class FieldRule(NamedTuple):
     reach: int
     occupied: int
     least_hits: int
-
-
-def check_beams(scan: BeamScan) -> None:
-    """Refuse a scan of more than ``MOST_BEAMS`` beams, which could overflow a cell's sums."""
-    if len(scan.ends) > MOST_BEAMS:
-        message = f"a scan to be counted has up to {MOST_BEAMS} beams, found {len(scan.ends)}"
-        raise DeviceError(message)
 
 
 def _fixed_places(cells: F32, pages: int) -> I64:
@@ -219,25 +213,23 @@ def _launch_beams(
     )  # fmt: skip
 
 
-def _count(
-    device: OpenCLDevice,
-    counts: DeviceArray[np.uint32],
-    sums: DeviceArray[np.uint32],
-    pages: DeviceArray[np.int32],
-    scan: BeamScan,
-    changed: DeviceArray[np.uint32],
-    sign: int,
-    rule: FieldRule | None = None,
-) -> DeviceArray[np.int32]:
-    """Start counting a scan; return the flag of a full cell. Without a rule nothing is marked."""
-    full = device.upload(np.zeros(1, dtype=np.int32))
-    if pages.size and len(scan.ends):
-        occupied, least_hits = (0, 0) if rule is None else (rule.occupied, rule.least_hits)
-        _launch_beams(
-            device, "count_beams", pages, scan, device.upload(scan.is_hit), pages, counts, sums,
-            sign, full, changed, np.uint32(occupied), np.uint32(least_hits),
-        )  # fmt: skip
-    return full
+def _count_on_host(counts: U32, sums: U32, pages: I32, scan: BeamScan) -> bool:
+    """Count a scan in every map, in place; return whether a cell is full."""
+    places = tile_places(pages, *_walks(scan, pages.shape))
+    places = tuple(part[places[0] != 0] for part in places)
+    np.add.at(counts, places, np.uint32(1))
+
+    x, y = (part[:, scan.is_hit != 0] for part in _placed(scan, scan.ends, pages.shape))
+    maps = np.broadcast_to(np.arange(len(x))[:, None], x.shape)
+    hit = tile_places(pages, maps, y >> BEAM_SHIFT, x >> BEAM_SHIFT)
+    has_tile = hit[0] != 0
+    hit = tuple(part[has_tile] for part in hit)
+    np.add.at(counts, hit, np.uint32(1 << HITS_SHIFT))
+    east, north = ((place % BEAM_ONE) >> OFFSET_SHIFT for place in (x, y))
+    np.add.at(sums, hit, (east << SUM_SHIFT | north)[has_tile].astype(np.uint32))
+
+    hits, visits = counts[places] >> HITS_SHIFT, counts[places] & VISITS_MASK
+    return bool(((hits >= FULL_HITS) | (visits >= FULL_VISITS)).any())
 
 
 class HitCountDevice(ArrayDevice):
@@ -271,58 +263,6 @@ class HitCountDevice(ArrayDevice):
             touched[maps, row, col] = 1
         return touched
 
-    def count_beams(
-        self,
-        counts: DeviceArray[np.uint32],
-        sums: DeviceArray[np.uint32],
-        pages: DeviceArray[np.int32],
-        scan: BeamScan,
-        *,
-        take_back: bool = False,
-    ) -> bool:
-        """Count a scan in every map, in place.
-
-        All cells of a beam's walk, its end included, are visited once more; the end of a beam that
-        met something is also hit once more.
-
-        Args:
-            counts: (T, TILE, TILE) uint32, no cell visited ``FULL_VISITS`` or hit ``FULL_HITS``
-                times yet.
-            sums: (T, TILE, TILE) uint32, each half 15 or less a hit.
-            pages: (N, PH, PW) int32; cells of pages without a tile are left out.
-            scan: see ``BeamScan``; ``MOST_BEAMS`` or fewer.
-            take_back: undo the counting of a scan that was counted at the same places.
-
-        Returns:
-            Whether a cell has now been visited ``FULL_VISITS`` or hit ``FULL_HITS`` times: halve
-            all hits, visits and sums, and take the field from ``full_field``.
-
-        Raises:
-            DeviceError: the scan has more beams.
-        """
-        check_beams(scan)
-        if self.opencl:
-            unmarked = self.opencl.table(np.zeros(1, dtype=np.uint32))
-            full = _count(self.opencl, counts, sums, pages, scan, unmarked, -1 if take_back else 1)
-            return bool(self.opencl.first(full))
-        counts, sums, pages = host(counts), host(sums), host(pages)
-        places = tile_places(pages, *_walks(scan, pages.shape))
-        places = tuple(part[places[0] != 0] for part in places)
-        sum_at = np.subtract.at if take_back else np.add.at
-        sum_at(counts, places, np.uint32(1))
-
-        x, y = (part[:, scan.is_hit != 0] for part in _placed(scan, scan.ends, pages.shape))
-        maps = np.broadcast_to(np.arange(len(x))[:, None], x.shape)
-        hit = tile_places(pages, maps, y >> BEAM_SHIFT, x >> BEAM_SHIFT)
-        has_tile = hit[0] != 0
-        hit = tuple(part[has_tile] for part in hit)
-        sum_at(counts, hit, np.uint32(1 << HITS_SHIFT))
-        east, north = ((place % BEAM_ONE) >> OFFSET_SHIFT for place in (x, y))
-        sum_at(sums, hit, (east << SUM_SHIFT | north)[has_tile].astype(np.uint32))
-
-        hits, visits = counts[places] >> HITS_SHIFT, counts[places] & VISITS_MASK
-        return bool(((hits >= FULL_HITS) | (visits >= FULL_VISITS)).any())
-
     def count_walks(
         self,
         hits: DeviceArray[np.uint32],
@@ -335,7 +275,7 @@ class HitCountDevice(ArrayDevice):
         """Count the beams of any number of scans in one map, in place.
 
         Args:
-            hits, visits: (T, TILE, TILE) uint32; as in ``count_beams``, in words of their own.
+            hits, visits: (T, TILE, TILE) uint32; as ``count_and_settle`` counts.
             pages: (1, PH, PW) int32; cells of pages without a tile are left out.
             beams: (B, BEAM_INTS) int32, on the host: x and y of end and laser in 1/1024 cell,
                 inside of the window.
@@ -372,24 +312,42 @@ class HitCountDevice(ArrayDevice):
         scan: BeamScan,
         rule: FieldRule,
     ) -> bool:
-        """Count a scan in every map, as ``count_beams``, and renew the score field, in place.
+        """Count a scan in every map, and renew the score field, in place.
 
-        The field is the greatest value that ``rule`` gives the occupied cells within reach, on both
-        axes, 0 where there are none. It is computed again around the cells that the scan hits, and
-        around those that are no longer occupied: if it was ``full_field`` before, it is afterwards.
+        All cells of a beam's walk, its end included, are visited once more; the end of a beam that
+        met something is also hit once more. The field is the greatest value that ``rule`` gives the
+        occupied cells within reach, on both axes, 0 where there are none. It is computed again
+        around the cells that the scan hits, and around those that are no longer occupied: if it was
+        ``full_field`` before, it is afterwards.
 
         Args:
+            counts: (T, TILE, TILE) uint32, no cell visited ``FULL_VISITS`` or hit ``FULL_HITS``
+                times yet.
+            sums: (T, TILE, TILE) uint32, each half 15 or less a hit.
             field: (T, TILE, TILE) uint8.
+            pages: (N, PH, PW) int32; cells of pages without a tile are left out.
             touched: (N, PH, PW) uint8, on the host: what ``touch_pages`` returns for this scan and
                 ``rule.reach``.
+            scan: see ``BeamScan``; ``MOST_BEAMS`` or fewer.
 
         Returns:
-            As ``count_beams``.
+            Whether a cell has now been visited ``FULL_VISITS`` or hit ``FULL_HITS`` times: halve
+            all hits, visits and sums, and take the field from ``full_field``.
+
+        Raises:
+            DeviceError: the scan has more beams.
         """
-        check_beams(scan)
+        if len(scan.ends) > MOST_BEAMS:  # which could overflow a cell's sums
+            message = f"a scan to be counted has up to {MOST_BEAMS} beams, found {len(scan.ends)}"
+            raise DeviceError(message)
         if self.opencl:
             marks = self.opencl.cleared((counts.shape[0], TILE), np.uint32)
-            full = _count(self.opencl, counts, sums, pages, scan, marks, 1, rule)
+            full = self.opencl.upload(np.zeros(1, dtype=np.int32))
+            if pages.size and len(scan.ends):
+                _launch_beams(
+                    self.opencl, "count_beams", pages, scan, self.opencl.upload(scan.is_hit), pages,
+                    counts, sums, full, marks, np.uint32(rule.occupied), np.uint32(rule.least_hits),
+                )  # fmt: skip
             near = np.flatnonzero(touched).astype(np.int32)
             if len(near):
                 self.opencl.launch(
@@ -399,9 +357,9 @@ class HitCountDevice(ArrayDevice):
                     np.uint32(rule.occupied), np.uint32(rule.least_hits),
                 )  # fmt: skip
             return bool(self.opencl.first(full))
-        before = host(counts).copy()
-        is_full = self.count_beams(counts, sums, pages, scan)
         counts, sums, field, pages = host(counts), host(sums), host(field), host(pages)
+        before = counts.copy()
+        is_full = _count_on_host(counts, sums, pages, scan)
         is_hit = counts >> HITS_SHIFT != before >> HITS_SHIFT
         is_changed = is_hit | (_is_wall(counts, rule) != _is_wall(before, rule))
         maps, page_row, page_col, in_row, in_col = np.nonzero(is_changed[pages])

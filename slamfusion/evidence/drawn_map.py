@@ -14,7 +14,7 @@ another SLAM saved contains scans outside of this log, so it votes.
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -24,14 +24,14 @@ import scipy
 from slamfusion.align.normalize import NormalizedGrid, normalize_grid
 from slamfusion.align.records import FusionResult
 from slamfusion.compute import ComputeDevice
-from slamfusion.compute.layout import BEAM_ONE, MOST_BEAMS, OPEN, TILE, WALL
+from slamfusion.compute.layout import OPEN, WALL
 from slamfusion.config import FusionConfig
 from slamfusion.errors import TrajectoryError
 from slamfusion.evidence.beams import ScanHits, no_common_time
 from slamfusion.fusion.lattice_vote import warp_onto
-from slamfusion.geometry import F64, Pose2, moved_poses, transform_points
+from slamfusion.geometry import F64, Pose2, moved_poses
 from slamfusion.grid import FREE, IDENTITY, OCCUPIED, UNKNOWN, CellBox, OccupancyGrid, known_box
-from slamfusion.slam.common.tile_map import SharedTileMaps
+from slamfusion.slam.common.beam_counts import BeamCounts, Beams
 from slamfusion.trajectory import Trajectory
 from slamfusion.vote.boxes import hull
 from slamfusion.vote.lattice import Lattice
@@ -43,8 +43,6 @@ I32 = npt.NDArray[np.int32]
 U32 = npt.NDArray[np.uint32]
 Row = tuple[float, ...]
 
-# Parts of a cell that points are rounded to, as the kernel sees them.
-POINT_PARTS = 1024.0
 # Scans that are laid at once: what it takes of memory does not grow with the drive.
 PART = 256
 # A cell is a wall if more than this share of the beams that reached it ended in it, and this number
@@ -94,7 +92,7 @@ class MapDrawer:
     def _clear(self) -> None:
         self._laid: dict[float, _LaidScan] = {}
         # By whole beams, and by beams that stop at walls.
-        self._whole, self._stopped = _Counts(self._device), _Counts(self._device)
+        self._whole, self._stopped = BeamCounts(self._device), BeamCounts(self._device)
 
     def draw(self, scans: Sequence[ScanHits], path: Trajectory, name: str) -> OccupancyGrid:
         """Return the map of the scans that have a pose in the path."""
@@ -126,12 +124,12 @@ class MapDrawer:
         resolution = self.lattice.resolution
         parts = [slice(first, first + PART) for first in range(0, len(scans), PART)]
         for part in parts:
-            whole = _Beams.of(scans[part], poses[part], resolution)
+            whole = Beams.of(scans[part], poses[part], resolution)
             self._whole.count(whole, self._whole.place(whole), 1)
         hits, visits, corner = self._whole.cells()
         walls, stopped = _is_wall(hits, visits), []
         for part in parts:
-            whole = _Beams.of(scans[part], poses[part], resolution)
+            whole = Beams.of(scans[part], poses[part], resolution)
             stopped.append(_cut_off(whole, walls, corner, self._device, resolution))
         self._stopped.cover(stopped)
         for part, beams in zip(parts, stopped, strict=True):
@@ -144,7 +142,7 @@ class MapDrawer:
     def _take_back(self, moved: Sequence[_LaidScan]) -> None:
         """Take scans back that were counted."""
         scans, poses, ends, is_hit = zip(*moved, strict=True)
-        beams = _Beams.of(scans, poses, self.lattice.resolution)
+        beams = Beams.of(scans, poses, self.lattice.resolution)
         self._whole.count(beams, self._whole.place(beams), -1)
         stopped = replace(beams, is_hit=np.concatenate(is_hit))
         self._stopped.count(stopped, np.concatenate(ends), -1)
@@ -157,54 +155,13 @@ class _LaidScan(NamedTuple):
 
     Attributes:
         pose: on the lattice, metres and radians.
-        ends, is_hit: its beams that stop at walls: see ``_Counts.place``, and ``_Beams``.
+        ends, is_hit: its beams that stop at walls: see ``BeamCounts.place``, and ``Beams``.
     """
 
     scan: ScanHits
     pose: Row
     ends: I32
     is_hit: B8
-
-
-@dataclass(frozen=True, eq=False)
-class _Beams:
-    """Beams of scans on the lattice, in cells.
-
-    Attributes:
-        lasers: (N, 2) float64, of each scan.
-        ends: (B, 2) float64.
-        is_hit: (B,) bool, whether something is there.
-        firsts: (N + 1,) int64, the beams of scan i are firsts[i] to firsts[i + 1] - 1.
-    """
-
-    lasers: F64
-    ends: F64
-    is_hit: B8
-    firsts: npt.NDArray[np.int64]
-
-    @classmethod
-    def of(cls, scans: Sequence[ScanHits], poses: Sequence[Row], resolution: float) -> _Beams:
-        """Place scans on the lattice."""
-        hits = [scan.ends[:: -(-len(scan.ends) // MOST_BEAMS)] for scan in scans]
-        sizes = np.array([len(own) for own in hits])
-        of = np.repeat(np.arange(len(scans)), sizes)
-        ends = np.concatenate(hits)
-        lasers, placed = np.array([scan.laser for scan in scans]), np.array(poses)
-
-        def in_cells(points: F64) -> F64:
-            return np.asarray(np.rint(points / resolution * POINT_PARTS) / POINT_PARTS)
-
-        return cls(
-            in_cells(transform_points(placed, lasers)),
-            in_cells(transform_points(placed, ends, of)),
-            np.ones(len(ends), dtype=np.bool_),
-            np.concatenate(([0], np.cumsum(sizes))).astype(np.int64),
-        )
-
-    @property
-    def scans(self) -> npt.NDArray[np.int64]:
-        """The scan of each beam."""
-        return np.repeat(np.arange(len(self.lasers)), np.diff(self.firsts))
 
 
 def _with_poses(
@@ -222,77 +179,6 @@ def _with_poses(
     return [scans[index] for index in np.flatnonzero(meets).tolist()], poses
 
 
-class _Counts:
-    """Hits and visits of every cell."""
-
-    def __init__(self, device: ComputeDevice) -> None:
-        """Start with none."""
-        self._device = device
-        self._maps = SharedTileMaps(device, 1, {"hits": np.uint32, "visits": np.uint32})
-
-    def cover(self, parts: Sequence[_Beams]) -> None:
-        """Extend the window to some beams."""
-        points = [part for own in parts for part in (own.ends, own.lasers)]
-        low = np.min([part.min(axis=0) for part in points], axis=0)
-        self._maps.cover(low - 1.0, np.max([part.max(axis=0) for part in points], axis=0) + 1.0)
-
-    def place(self, beams: _Beams) -> I32:
-        """Return the ends of beams, (B, 2), in 1/1024 cell of the lattice, with tiles for them."""
-        self.cover([beams])
-        maps = self._maps
-        lasers, ends = beams.lasers - maps.origin, beams.ends - maps.origin
-        maps.make_writable(_pages_crossed(lasers, ends, beams.firsts, maps.pages.shape[1:])[None])
-        return np.asarray(_fixed(ends) + self._corner)
-
-    @property
-    def _corner(self) -> I32:
-        """The corner of the window in 1/1024 cell, (2,)."""
-        return np.asarray(self._maps.corner * (TILE * BEAM_ONE), dtype=np.int32)
-
-    def count(self, beams: _Beams, ends: I32, sign: int) -> None:
-        """Count beams with these ends, or with -1 take them back."""
-        maps = self._maps
-        hits, visits = maps.pools["hits"], maps.pools["visits"]
-        lasers = _fixed(beams.lasers - maps.origin)[beams.scans]
-        rows = np.concatenate((ends - self._corner, lasers), axis=1)
-        is_hit = beams.is_hit.astype(np.uint8)
-        self._device.count_walks(hits, visits, maps.page_tables, rows, is_hit, sign)
-
-    def cells(self) -> tuple[U32, U32, npt.NDArray[np.int64]]:
-        """Return hits and visits, (H, W), and the lattice's column and row of the first cell."""
-        hits, corner = self._maps.cells("hits", 0)
-        return hits, self._maps.cells("visits", 0)[0], corner
-
-
-def _fixed(cells: F64) -> I32:
-    """Return places, cells of the window, in 1/1024 cell, as float32 of the kernels has them."""
-    places = cells.astype(np.float32) * np.float32(BEAM_ONE)
-    return np.asarray(np.floor(places), dtype=np.int32)
-
-
-def _pages_crossed(
-    lasers: F64, ends: F64, firsts: npt.NDArray[np.int64], shape: tuple[int, ...]
-) -> npt.NDArray[np.bool_]:
-    """Return which pages beams may cross, (PH, PW) bool, with some neighbours.
-
-    One beam of a scan is followed to the middle of each end page; the others stay within a page.
-    """
-    crossed = np.zeros(shape, dtype=np.bool_)
-    of = np.repeat(np.arange(len(lasers)), np.diff(firsts))
-    col, row = np.floor(ends / TILE).astype(np.int64).T
-    _, one = np.unique((of * shape[0] + row) * shape[1] + col, return_index=True)
-    start = lasers[of[one]]
-    middle = np.stack((col[one], row[one]), axis=1) * TILE + 0.5 * TILE
-    steps = np.ceil(np.abs(middle - start).max(axis=1, initial=0.0) / (0.5 * TILE)).astype(np.int64)
-    for step in range(int(steps.max(initial=0)) + 1):
-        going = steps >= step
-        share = step / np.maximum(steps[going], 1)
-        at = start[going] + share[:, None] * (middle[going] - start[going])
-        at_col, at_row = np.floor(at / TILE).astype(np.int64).T
-        crossed[at_row, at_col] = True
-    return np.asarray(scipy.ndimage.binary_dilation(crossed, np.ones((3, 3), dtype=np.bool_)))
-
-
 def _is_wall(hits: U32, visits: U32) -> npt.NDArray[np.bool_]:
     """Return which cells are walls, (H, W) bool."""
     return np.asarray((hits >= LEAST_HITS) & (hits > WALL_SHARE * visits))
@@ -308,12 +194,12 @@ def _without_specks(cells: npt.NDArray[np.int8], least_cells: float) -> npt.NDAr
 
 
 def _cut_off(
-    beams: _Beams,
+    beams: Beams,
     walls: npt.NDArray[np.bool_],
     corner: npt.NDArray[np.int64],
     device: ComputeDevice,
     resolution: float,
-) -> _Beams:
+) -> Beams:
     """Return the beams stopped at walls; those that stop there hit nothing."""
     starts = beams.lasers[beams.scans]
     along = beams.ends - starts

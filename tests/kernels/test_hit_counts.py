@@ -61,10 +61,14 @@ def joined(pool: npt.NDArray[Any], pages: I32) -> npt.NDArray[Any]:
 def count_into(
     device: ComputeDevice, pages: I32, *scans: BeamScan
 ) -> tuple[list[npt.NDArray[Any]], list[bool]]:
-    """Count scans in unseen maps; the pools, and what each count returned."""
+    """Count scans in unseen maps; counts and sums, and what each count returned."""
     pools = pools_of(device, int(pages.max()) + 1)
-    table = device.upload(pages)
-    full = [device.count_beams(pools[0], pools[1], table, scan) for scan in scans]
+    table, touched = device.upload(pages), np.zeros(pages.shape, dtype=np.uint8)
+    rule = FieldRule(FALLING, shift=8, reach=1, occupied=16384, least_hits=1)
+    full = [
+        device.count_and_settle(pools[0], pools[1], pools[2], table, touched, scan, rule)
+        for scan in scans
+    ]
     return [device.download(pool) for pool in pools[:2]], full
 
 
@@ -139,12 +143,9 @@ def test_nothing_flows_over_where_all_beams_of_two_scans_end(device: ComputeDevi
 
 
 def test_too_many_beams_are_refused(device: ComputeDevice):
-    table = device.upload(own_pages(1, 1, 1))
     scan = scan_of(*[(3.0, 0.0)] * (MOST_BEAMS + 1), poses=[(4.5, 4.5, 0.0)])
-    pools = pools_of(device, 2)
     with pytest.raises(DeviceError, match="up to 2047 beams, found 2048"):
-        device.count_beams(pools[0], pools[1], table, scan)
-    assert not device.download(pools[0]).any()
+        count_into(device, own_pages(1, 1, 1), scan)
 
 
 @given(seed=SEEDS, reach=st.integers(0, 16))

@@ -204,7 +204,7 @@ class ParticleMaps(Stateful):
     def grid(self, index: int, name: str) -> OccupancyGrid:
         """Return one particle's map as it is published."""
         counts, first = self.tiles.cells("counts", index)
-        percent = percent_of_counts(counts.astype(np.uint32), self._config.occ_thresh)
+        percent = percent_of_counts(counts >> 16, counts & 0xFFFF, self._config.occ_thresh)
         return known_part(percent, self.anchor, first, self._config.delta, name)
 
     def integrate(self, beams: Beams, poses: F64, alive: I64) -> None:

@@ -266,22 +266,6 @@ def _take_tiles(device: ComputeDevice, sample: Sample) -> Arrays:
     return [device.take_tiles(pool, some) for pool in pools for some in (numbers, numbers[:0])]
 
 
-def _count_beams(device: ComputeDevice, sample: Sample) -> Arrays:
-    pages, (counts, sums, _) = _hit_maps(sample)
-    visits, hits = FULL_VISITS, FULL_HITS
-    table, scan = device.upload(pages), _beam_scan(sample, pages)
-    none = scan._replace(ends=scan.ends[:0], is_hit=scan.is_hit[:0])
-    results = []
-    # As it is, and in one map a beam or two away from too many visits, or hits.
-    for more in (0, visits - 2, hits - 2 << 16):
-        nearly = counts.copy()
-        nearly[1 : len(counts) // 2 : 3] |= np.uint32(more)
-        own = device.upload(nearly), device.upload(sums)
-        full = [device.count_beams(*own, table, part) for part in (scan, none)]
-        results += [np.array(full), *fetch(device, own)]
-    return results
-
-
 def _count_walks(device: ComputeDevice, sample: Sample) -> Arrays:
     pages, (hits, visits, _) = _hit_maps(sample)
     rng, size = sample.rng, np.array(pages.shape[:0:-1]) * TILE * BEAM_ONE
@@ -297,20 +281,25 @@ def _count_walks(device: ComputeDevice, sample: Sample) -> Arrays:
 
 
 def _count_and_settle(device: ComputeDevice, sample: Sample) -> Arrays:
-    pages, pools = _hit_maps(sample)
+    pages, (counts, sums, field) = _hit_maps(sample)
     table, scan = device.upload(pages), _beam_scan(sample, pages)
+    none = scan._replace(ends=scan.ends[:0], is_hit=scan.is_hit[:0])
     falling = np.arange(255, -1, -1).astype(np.uint8)
     results: Arrays = []
-    for reach, shift, occupied, least_hits in (
-        (1, 10, 20000, 1),
-        (3, 13, 0, 2),
-        (0, 9, 1 << 16, 1),
+    # As it is, and in one map a beam or two away from too many visits, or hits.
+    for more, reach, shift, occupied, least_hits in (
+        (0, 1, 10, 20000, 1),
+        (FULL_VISITS - 2, 3, 13, 0, 2),
+        (FULL_HITS - 2 << 16, 0, 9, 1 << 16, 1),
     ):
         rule = FieldRule(falling, shift, reach, occupied, least_hits)
-        counts, sums, field = (device.upload(pool) for pool in pools)
-        touched = device.touch_pages(table, scan, reach)
-        full = device.count_and_settle(counts, sums, field, table, touched, scan, rule)
-        results += [np.array(full), *fetch(device, (counts, sums, field))]
+        nearly = counts.copy()
+        nearly[1 : len(counts) // 2 : 3] |= np.uint32(more)
+        pools = [device.upload(pool) for pool in (nearly, sums, field)]
+        for part in (scan, none):
+            touched = device.touch_pages(table, part, reach)
+            full = device.count_and_settle(*pools, table, touched, part, rule)
+            results += [np.array(full), *(array.copy() for array in fetch(device, pools))]
     return results
 
 
@@ -365,7 +354,6 @@ MAP_CHECKS: dict[str, Check] = {
     "touch_pages": _touch_pages,
     "copy_tiles": _copy_tiles,
     "take_tiles": _take_tiles,
-    "count_beams": _count_beams,
     "count_walks": _count_walks,
     "count_and_settle": _count_and_settle,
     "mark_chunks": _mark_chunks,

@@ -360,13 +360,12 @@ def test_only_walls_that_may_be_used_are_matched(device: ComputeDevice):
 def test_a_wall_is_what_was_hit_more_often_than_the_threshold(occ_thresh: float):
     """Of 20 visits; percents rise with the hits, and the map servers' limits tell them apart."""
     hits = np.arange(21, dtype=np.uint32)
-    percent = percent_of_counts(hits[None] << 16 | np.uint32(20), occ_thresh)[0]
+    percent = percent_of_counts(hits, np.full_like(hits, 20), occ_thresh)
     assert (np.diff(percent.astype(int)) >= 0).all()
     for number, value in zip(hits.tolist(), percent.tolist(), strict=True):
         assert value >= 65 if number / 20 > occ_thresh else 0 <= value <= 25
-    assert (
-        percent_of_counts(np.zeros((2, 3), dtype=np.uint32), occ_thresh).tolist() == [[-1] * 3] * 2
-    )
+    unseen = np.zeros((2, 3), dtype=np.uint32)
+    assert percent_of_counts(unseen, unseen, occ_thresh).tolist() == [[-1] * 3] * 2
 
 
 def counts_of(slam: Gmapping) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:

@@ -1,0 +1,144 @@
+"""``BeamCounts``: hits and visits of every cell, of scans that can be taken back.
+
+Counts are whole numbers, and points are rounded to a lattice that does not depend on the map's
+size: a map of scans of which some were taken back and counted elsewhere is bit for bit the same as
+one of them from scratch.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import scipy
+
+from slamfusion.compute import ComputeDevice
+from slamfusion.compute.layout import BEAM_ONE, MOST_BEAMS, TILE
+from slamfusion.geometry import F64, transform_points
+from slamfusion.slam.common.tile_map import SharedTileMaps
+
+I32 = npt.NDArray[np.int32]
+U32 = npt.NDArray[np.uint32]
+
+# Parts of a cell that points are rounded to, as the kernel sees them.
+POINT_PARTS = 1024.0
+
+
+@dataclass(frozen=True, eq=False)
+class Beams:
+    """Beams of scans on the lattice, in cells.
+
+    Attributes:
+        lasers: (N, 2) float64, of each scan.
+        ends: (B, 2) float64.
+        is_hit: (B,) bool, whether something is there.
+        firsts: (N + 1,) int64, the beams of scan i are firsts[i] to firsts[i + 1] - 1.
+    """
+
+    lasers: F64
+    ends: F64
+    is_hit: npt.NDArray[np.bool_]
+    firsts: npt.NDArray[np.int64]
+
+    @classmethod
+    def of(cls, scans: Sequence[Any], poses: npt.ArrayLike, resolution: float) -> Beams:
+        """Place scans, of ``ends`` and ``laser`` in metres in their frames, on the lattice."""
+        hits = [scan.ends[:: -(-len(scan.ends) // MOST_BEAMS)] for scan in scans]
+        sizes = np.array([len(own) for own in hits])
+        of = np.repeat(np.arange(len(scans)), sizes)
+        ends = np.concatenate(hits)
+        lasers, placed = np.array([scan.laser for scan in scans]), np.array(poses)
+
+        def in_cells(points: F64) -> F64:
+            return np.asarray(np.rint(points / resolution * POINT_PARTS) / POINT_PARTS)
+
+        return cls(
+            in_cells(transform_points(placed, lasers)),
+            in_cells(transform_points(placed, ends, of)),
+            np.ones(len(ends), dtype=np.bool_),
+            np.concatenate(([0], np.cumsum(sizes))).astype(np.int64),
+        )
+
+    @property
+    def scans(self) -> npt.NDArray[np.int64]:
+        """The scan of each beam."""
+        return np.repeat(np.arange(len(self.lasers)), np.diff(self.firsts))
+
+
+class BeamCounts:
+    """Hits and visits of every cell."""
+
+    def __init__(self, device: ComputeDevice) -> None:
+        """Start with none."""
+        self._device = device
+        self._maps = SharedTileMaps(device, 1, {"hits": np.uint32, "visits": np.uint32})
+
+    @property
+    def memory_bytes(self) -> int:
+        """Bytes of the counts."""
+        return self._maps.memory_bytes
+
+    def cover(self, parts: Sequence[Beams]) -> None:
+        """Extend the window to some beams."""
+        points = [part for own in parts for part in (own.ends, own.lasers)]
+        low = np.min([part.min(axis=0) for part in points], axis=0)
+        self._maps.cover(low - 1.0, np.max([part.max(axis=0) for part in points], axis=0) + 1.0)
+
+    def place(self, beams: Beams) -> I32:
+        """Return the ends of beams, (B, 2), in 1/1024 cell of the lattice, with tiles for them."""
+        self.cover([beams])
+        maps = self._maps
+        lasers, ends = beams.lasers - maps.origin, beams.ends - maps.origin
+        maps.make_writable(_pages_crossed(lasers, ends, beams.firsts, maps.pages.shape[1:])[None])
+        return np.asarray(_fixed(ends) + self._corner)
+
+    @property
+    def _corner(self) -> I32:
+        """The corner of the window in 1/1024 cell, (2,)."""
+        return np.asarray(self._maps.corner * (TILE * BEAM_ONE), dtype=np.int32)
+
+    def count(self, beams: Beams, ends: I32, sign: int) -> None:
+        """Count beams with these ends, or with -1 take them back."""
+        maps = self._maps
+        hits, visits = maps.pools["hits"], maps.pools["visits"]
+        lasers = _fixed(beams.lasers - maps.origin)[beams.scans]
+        rows = np.concatenate((ends - self._corner, lasers), axis=1)
+        is_hit = beams.is_hit.astype(np.uint8)
+        self._device.count_walks(hits, visits, maps.page_tables, rows, is_hit, sign)
+
+    def cells(self) -> tuple[U32, U32, npt.NDArray[np.int64]]:
+        """Return hits and visits, (H, W), and the lattice's column and row of the first cell."""
+        hits, corner = self._maps.cells("hits", 0)
+        return hits, self._maps.cells("visits", 0)[0], corner
+
+
+def _fixed(cells: F64) -> I32:
+    """Return places, cells of the window, in 1/1024 cell, as float32 of the kernels has them."""
+    places = cells.astype(np.float32) * np.float32(BEAM_ONE)
+    return np.asarray(np.floor(places), dtype=np.int32)
+
+
+def _pages_crossed(
+    lasers: F64, ends: F64, firsts: npt.NDArray[np.int64], shape: tuple[int, ...]
+) -> npt.NDArray[np.bool_]:
+    """Return which pages beams may cross, (PH, PW) bool, with some neighbours.
+
+    One beam of a scan is followed to the middle of each end page; the others stay within a page.
+    """
+    crossed = np.zeros(shape, dtype=np.bool_)
+    of = np.repeat(np.arange(len(lasers)), np.diff(firsts))
+    col, row = np.floor(ends / TILE).astype(np.int64).T
+    _, one = np.unique((of * shape[0] + row) * shape[1] + col, return_index=True)
+    start = lasers[of[one]]
+    middle = np.stack((col[one], row[one]), axis=1) * TILE + 0.5 * TILE
+    steps = np.ceil(np.abs(middle - start).max(axis=1, initial=0.0) / (0.5 * TILE)).astype(np.int64)
+    for step in range(int(steps.max(initial=0)) + 1):
+        going = steps >= step
+        share = step / np.maximum(steps[going], 1)
+        at = start[going] + share[:, None] * (middle[going] - start[going])
+        at_col, at_row = np.floor(at / TILE).astype(np.int64).T
+        crossed[at_row, at_col] = True
+    return np.asarray(scipy.ndimage.binary_dilation(crossed, np.ones((3, 3), dtype=np.bool_)))
