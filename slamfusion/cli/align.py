@@ -49,6 +49,7 @@ if TYPE_CHECKING:
     "--output",
     "-o",
     files=lambda path, _: plan_files(path),
+    needs=options.REPORT,
     metavar="DIR",
     help="With --scale: save the plan with its resolution, the map in the frame of the plan, a "
     "world file and an overlay picture to this folder.",
@@ -64,7 +65,7 @@ def command(
     output: Path | None,
     config: RunConfig,
     as_json: bool,
-) -> int:
+) -> None:
     """Align one map with another, or with a floor plan.
 
     Prints the transform that maps points from the frame of MOVING to the frame of REFERENCE. The
@@ -78,7 +79,6 @@ def command(
         raise click.UsageError("-o and --scale belong together; give both or neither")
     if scale is not None and starts:
         raise click.UsageError("--scale searches everywhere; leave --start out")
-    options.check_report(output)
     device = device_for(config)
     if scale is not None:
         from slamfusion.jobs.plan import align_plan  # noqa: PLC0415
@@ -107,7 +107,6 @@ def command(
         raise AlignmentError(f"{moving} does not align with {reference}: {found.reason}")
     if output is not None and not as_json:
         _print_files(output)
-    return 0
 
 
 def _named(starts: options.GivenStarts, moving: str) -> options.GivenStarts:

@@ -29,15 +29,12 @@ LEADING = ("error", "wall_f1", "ate_rmse_m", "relations_mean_m", "consistency")
     examples=["compare graph.zip gmapping.zip", "compare all.zip --plot errors.pdf"],
 )
 @click.argument("files", metavar="A.zip [B.zip...]", nargs=-1, required=True, type=FILE)
-@options.output(
-    "--plot",
-    "plot_path",
-    metavar="FILE",
-    help="Draw the errors along the paths and by case: .png, .svg or .pdf.",
+@options.picture(
+    "--plot", "plot_path", "Draw the errors along the paths and by case: .png, .svg or .pdf."
 )
 @options.common
 @table_option
-def command(files: tuple[Path, ...], plot_path: Path | None, as_json: bool) -> int:
+def command(files: tuple[Path, ...], plot_path: Path | None, as_json: bool) -> None:
     """Compare saved results, with p-values.
 
     The files come from --save-results. Every two files are compared. If a file holds several
@@ -48,7 +45,6 @@ def command(files: tuple[Path, ...], plot_path: Path | None, as_json: bool) -> i
     """
     from slamfusion.jobs.compare import compare_results, write_comparison_plot  # noqa: PLC0415
 
-    options.check_picture("--plot", plot_path)
     found = compare_results(files)
     if plot_path is not None:
         write_comparison_plot(found, plot_path)
@@ -56,11 +52,10 @@ def command(files: tuple[Path, ...], plot_path: Path | None, as_json: bool) -> i
         notice(sentence)
     if as_json:
         print_json(found)
-        return 0
+        return
     print_comparison(found)
     if plot_path is not None:
         print_facts(("plot", plot_path))
-    return 0
 
 
 def print_comparison(found: ComparedResults) -> None:

@@ -22,7 +22,7 @@ NUMPY_NOTE = "numpy: always there (--device numpy), without OpenCL and slower"
 @click.command("doctor", cls=Command)
 @options.settings("device")
 @options.common
-def command(config: RunConfig, as_json: bool) -> int:
+def command(config: RunConfig, as_json: bool) -> None:
     """Check this installation.
 
     Lists versions and devices and tests three kernels.
@@ -54,12 +54,11 @@ def command(config: RunConfig, as_json: bool) -> int:
         print_table(("for ", "install "), [list(item) for item in found.install.items()])
     if found.problems:
         raise SlamFusionError("; ".join(found.problems))
-    return 0
 
 
 @click.command("devices", cls=Command)
 @options.common
-def devices_command(as_json: bool) -> int:
+def devices_command(as_json: bool) -> None:
     """List the OpenCL devices.
 
     --device takes an index or a part of a name.
@@ -70,12 +69,11 @@ def devices_command(as_json: bool) -> int:
     devices = list_devices()
     if as_json:
         print_json(DevicesDocument(devices))
-        return 0
+        return
     print_devices(devices)
     print(NUMPY_NOTE)
     if not devices:
         print("no OpenCL device found; `slamfusion doctor` says what to install")
-    return 0
 
 
 def print_devices(devices: Sequence[DeviceInfo]) -> None:

@@ -72,12 +72,11 @@ def _image_files(image: Path, given: Mapping[str, Any]) -> list[Path]:
     "Distances measured in the building (CSV or YAML), to compare with the map.",
 )
 @options.report("report_dir", _report_folders)
-@options.output(
+@options.picture(
     "--image",
     "image_path",
+    "Write an image of the differences. Several maps add their names.",
     files=_image_files,
-    metavar="FILE",
-    help="Write an image of the differences. Several maps add their names.",
 )
 @options.resolution
 @options.settings(
@@ -98,7 +97,7 @@ def command(
     resolution: float | None,
     results_path: Path | None,
     as_json: bool,
-) -> int:
+) -> None:
     """Measure the errors of maps.
 
     Each MAP is compared with the true map, or with measured distances. Without both, the maps are
@@ -125,13 +124,11 @@ def command(
     ):
         if is_wrong:
             raise click.UsageError(message)
-    options.check_picture("--image", image_path)
-    options.check_report(report_dir)
     paths = [item.path for item in maps]
     if is_mutual:
-        return _compare(
-            load_maps(paths, config, resolution=resolution, warn=notice), config, as_json
-        )
+        grids = load_maps(paths, config, resolution=resolution, warn=notice)
+        _compare(grids, config, as_json)
+        return
     with progress_bar() as progress:
         found = evaluate_cases(
             maps, truths, config, distances=distances_path,
@@ -151,7 +148,7 @@ def command(
     )
     if as_json:
         print_json(found)
-        return 0
+        return
     if len(truths) > 1:
         results.print_items(rows, "map", ("error", "wall_f1"))
     elif evaluations:
@@ -161,10 +158,9 @@ def command(
         _print_distances(comparison)
     pages = [] if report_dir is None else [own / PAGE for own in _report_folders(report_dir, given)]
     print_facts(*(("report", page) for page in pages), *(("image", image) for image in images))
-    return 0
 
 
-def _compare(grids: Sequence[OccupancyGrid], config: RunConfig, as_json: bool) -> int:
+def _compare(grids: Sequence[OccupancyGrid], config: RunConfig, as_json: bool) -> None:
     from slamfusion.jobs.evaluate import EvaluatedMaps, agreement_items, compare_maps  # noqa: PLC0415
     from slamfusion.jobs.records import Settings  # noqa: PLC0415
 
@@ -178,7 +174,7 @@ def _compare(grids: Sequence[OccupancyGrid], config: RunConfig, as_json: bool) -
             agreement=items, device=device.name, seed=config.seed, settings=Settings(config)
         )
         print_json(document)
-        return 0
+        return
     rows, notes = [], []
     for record, item in zip(result.inputs, items, strict=True):
         share, bent = item.vote.agreement, item.vote.bent
@@ -198,7 +194,6 @@ def _compare(grids: Sequence[OccupancyGrid], config: RunConfig, as_json: bool) -
         notes=notes,
         title=f"Agreement of the maps with each other, in the frame of {result.reference}",
     )
-    return 0
 
 
 def _inputs(

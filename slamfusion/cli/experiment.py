@@ -6,7 +6,7 @@ import functools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import astuple
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from slamfusion.experiments.page import Experiment
     from slamfusion.experiments.runs import Setup
     from slamfusion.jobs.inputs import LogFiles
-
-F = TypeVar("F", bound=Callable[..., Any])
 
 
 def _files(folder: Path, _: Mapping[str, Any]) -> list[Path]:
@@ -47,10 +45,10 @@ def _read_of_datasets(folder: Path, _: Mapping[str, Any]) -> list[Path]:
     return [folder / name for log in REAL_LOGS.values() for name in (log.log, log.reference)]
 
 
-def _experiment(*sections: str) -> Callable[[Callable[..., Experiment]], Callable[..., int]]:
+def _experiment(*sections: str) -> Callable[[Callable[..., Experiment]], Callable[..., None]]:
     """Return what makes a command of a function: options that all have, and the output."""
 
-    def decorate(function: Callable[..., Experiment]) -> Callable[..., int]:
+    def decorate(function: Callable[..., Experiment]) -> Callable[..., None]:
         @functools.wraps(function)
         def run(
             folder: Path,
@@ -59,7 +57,7 @@ def _experiment(*sections: str) -> Callable[[Callable[..., Experiment]], Callabl
             as_json: bool,
             scheduler: str | None = None,
             **given: Any,
-        ) -> int:
+        ) -> None:
             from slamfusion.compute import NumpyDevice  # noqa: PLC0415  (loads slowly)
             from slamfusion.experiments.runs import Setup  # noqa: PLC0415
 
@@ -79,20 +77,12 @@ def _experiment(*sections: str) -> Callable[[Callable[..., Experiment]], Callabl
                 print(*document.sentences, *files, sep="\n")
             if found.failure:
                 raise SlamFusionError(found.failure)
-            return 0
 
         command = options.settings(*sections)(
             options.common(results.results_option(results.table_option(run)))
         )
-        return options.output(
-            "-o",
-            "--output",
-            "folder",
-            files=_files,
-            required=True,
-            metavar="DIR",
-            help="Write the results, tables and the plot to this folder.",
-        )(command)
+        text = "Write the results, tables and the plot to this folder."
+        return options.main_output("folder", "DIR", text, _files)(command)
 
     return decorate
 
@@ -118,20 +108,18 @@ def cell_models(_: Setup) -> Experiment:
     return table_two()
 
 
-def _log_option(name: str, help_text: str, metavar: str = "FILE") -> Callable[[F], F]:
-    """Return an option of a file of the recorded drive."""
-    return click.option(f"--{name}", f"{name}_path", type=FILE, metavar=metavar, help=help_text)
-
-
 @command.command("occupancy-estimator")
-@_log_option("log", "A recorded drive, in addition to the simulated floors.", "LOG")
-@_log_option("relations", "Known motions of the recorded drive [K09].")
-@_log_option(
-    "odometry", "Raw odometry of its whole run. It carries poses to the times of the relations."
+@options.file("--log", "log", "LOG", "A recorded drive, in addition to the simulated floors.")
+@options.file("--relations", "relations", "FILE", "Known motions of the recorded drive [K09].")
+@options.file(
+    "--odometry",
+    "odometry",
+    "FILE",
+    "Raw odometry of its whole run. It carries poses to the times of the relations.",
 )
-@_log_option("reference", "The best known trajectory of the recorded drive.")
+@options.file("--reference", "truth", "FILE", "The best known trajectory of the recorded drive.")
 @_experiment("experiment.occupancy_estimator", "report", "device", "")
-def occupancy_estimator(setup: Setup, log_path: Path | None, **others: Path | None) -> Experiment:
+def occupancy_estimator(setup: Setup, log: Path | None, **others: Path | None) -> Experiment:
     """Sweep tinySLAM's cell size with both occupancy estimators, Table III of [H16].
 
     Uses simulated office floors, whose truth is known, and a recorded drive with --log.
@@ -139,11 +127,10 @@ def occupancy_estimator(setup: Setup, log_path: Path | None, **others: Path | No
     from slamfusion.experiments.tinyslam import sweep_estimators  # noqa: PLC0415
     from slamfusion.jobs.inputs import LogFiles  # noqa: PLC0415
 
-    if log_path is None and any(path is not None for path in others.values()):
+    if log is None and any(path is not None for path in others.values()):
         message = "--relations, --odometry and --reference belong to a recorded drive; give --log"
         raise click.UsageError(message)
-    names = ("relations_path", "odometry_path", "reference_path")
-    recorded = [] if log_path is None else [LogFiles(log_path, *(others[name] for name in names))]
+    recorded = [] if log is None else [LogFiles(log, **others)]
     _check_drives(setup.config.experiment.occupancy_estimator.floors, recorded)
     return sweep_estimators(recorded, setup)
 

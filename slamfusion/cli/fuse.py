@@ -46,10 +46,6 @@ def _check_workers(scheduler: str | None, processes: int | None) -> None:
         raise click.UsageError(message)
 
 
-def _report_folders(folder: Path, _: Mapping[str, Any]) -> list[Path]:
-    return [folder, folder / FAILED]
-
-
 @click.command(
     "fuse",
     cls=Command,
@@ -59,16 +55,13 @@ def _report_folders(folder: Path, _: Mapping[str, Any]) -> list[Path]:
     ],
 )
 @click.argument("maps", nargs=-1, required=True, type=MAP)
-@options.output(
-    "-o",
-    "--output",
+@options.main_output(
     "out",
-    files=_files,
-    required=True,
-    metavar="OUT",
-    help="Write the fused map OUT.yaml, OUT.pgm, its agreement OUT_agreement.yaml, .pgm and the "
+    "OUT",
+    "Write the fused map OUT.yaml, OUT.pgm, its agreement OUT_agreement.yaml, .pgm and the "
     "record OUT.json. Further groups of maps that overlap only each other: OUT-2.yaml ... "
     "OUT.zarr writes a Zarr store, for maps larger than memory.",
+    _files,
 )
 @options.file("--truth", "truth_path", "MAP", "The true map. Adds the errors of all maps.", MAP)
 @options.truth_scale
@@ -79,7 +72,7 @@ def _report_folders(folder: Path, _: Mapping[str, Any]) -> list[Path]:
     default="pgm",
     help="Image format of the maps. [default: pgm]",
 )
-@options.report("report_dir", _report_folders)
+@options.report("report_dir", lambda folder, _: [folder, folder / FAILED])
 @options.open_report
 @options.start(
     "Expected pose of map NAME. Several starts share one frame. A single start is given in the "
@@ -93,18 +86,7 @@ def _report_folders(folder: Path, _: Mapping[str, Any]) -> list[Path]:
     metavar="N",
     help="Run the alignments in this number of processes.",
 )
-@options.settings(
-    "fusion",
-    "fusion.normalize",
-    "fusion.align",
-    "fusion.vote",
-    "map_files",
-    "evaluate",
-    "report",
-    "device",
-    "",
-    preset=LIKE_PAPER,
-)
+@options.settings("fusion.*", "map_files", "evaluate", "report", "device", "", preset=LIKE_PAPER)
 @options.common
 @table_option
 def command(
@@ -121,7 +103,7 @@ def command(
     processes: int | None,
     config: RunConfig,
     as_json: bool,
-) -> int:
+) -> None:
     """Align saved maps of one place and fuse them by vote.
 
     MAPS are map_server YAML files, or images together with --resolution. Maps that do not fit are
@@ -135,7 +117,6 @@ def command(
 
     _check_workers(scheduler, processes)
     config, store = options.with_starts(config, starts), out if out.suffix == STORE_END else None
-    options.check_report(report_dir)
     if store is not None and (truth_path is not None or report_dir is not None):
         message = f"--truth and --report look at the whole map, and {out} need not fit into memory"
         raise click.UsageError(message)
@@ -178,7 +159,6 @@ def command(
         _print_result(fused, stem, report_dir)
     if is_opened and report_dir is not None:
         click.launch(str(report_dir / PAGE))
-    return 0
 
 
 def _print_result(fused: FusedMaps, stem: Path, report_dir: Path | None) -> None:

@@ -43,7 +43,7 @@ def command() -> None:
 @options.common
 def optimize_command(
     path: Path, out: Path | None, tum_path: Path | None, config: RunConfig, as_json: bool
-) -> int:
+) -> None:
     """Find the poses that fit the edges of a pose graph best.
 
     FILE is a g2o or TORO file, plain or gzip. Edges between consecutive vertices are odometry.
@@ -61,7 +61,7 @@ def optimize_command(
     graph = save_optimized_graph(graph, out, tum=tum_path)
     if as_json:
         print_json(graph)
-        return 0
+        return
     along = "" if graph.has_poses else " (along the odometry; the file has no vertices)"
     rows = [
         ["nodes", str(graph.nodes)],
@@ -83,7 +83,6 @@ def optimize_command(
     ]
     print_table((" ", " "), rows, title=path.name, header=False)
     print_facts(*((what, file) for what, file in (("graph", out), ("poses", tum_path)) if file))
-    return 0
 
 
 def _first_few(names: Iterable[str]) -> str:

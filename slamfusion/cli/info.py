@@ -25,7 +25,7 @@ UNITS = {"s": "s", "m": "m", "m2": "m2", "hz": "Hz", "deg": "deg", "percent": "%
 @click.argument("path", metavar="LOG|BAG|MAP|RUN", type=FILE)
 @options.settings("log", "map_files")
 @options.common
-def command(path: Path, config: RunConfig, as_json: bool) -> int:
+def command(path: Path, config: RunConfig, as_json: bool) -> None:
     """Describe a log, a bag, a map or a run.
 
     Shows duration, scans, laser, odometry and topics of a log or bag, size and area of a map, and
@@ -37,13 +37,12 @@ def command(path: Path, config: RunConfig, as_json: bool) -> int:
         found = describe(path, config, progress)
     if as_json:
         print_json(found)
-        return 0
+        return
     (record,) = (item for item in (found.log, found.map, found.run) if item is not None)
     rows = [_row(field.name, getattr(record, field.name)) for field in fields(record)]
     print_table((" ", " "), [row for row in rows if row[1]], title=str(path), header=False)
     for sentence in found.remarks:
         say(f"- {sentence}", indent=2)
-    return 0
 
 
 def _row(name: str, value: Any) -> list[str]:

@@ -72,7 +72,7 @@ def command(
     report_dir: Path | None,
     results_path: Path | None,
     as_json: bool,
-) -> int:
+) -> None:
     """Rank the paths of a log by its scans, without ground truth.
 
     A path is better if the scans of other times predict each scan better. LOG is a CARMEN or
@@ -99,7 +99,6 @@ def command(
     if fused is not None and more_logs:
         message = "--fused is of one log; with several (--log) call judge for each"
         raise click.UsageError(message)
-    options.check_report(report_dir)
     logs = (log, *more_logs)
     cases = case_names(logs)
     known = known_files(
@@ -153,7 +152,6 @@ def command(
     ]
     if not_measured:
         raise SlamFusionError("; ".join(not_measured))
-    return 0
 
 
 def _print(found: Mapping[str, JudgedPaths], rows: Sequence[Row], reports: Sequence[Path]) -> None:

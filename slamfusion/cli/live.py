@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import json
 from collections.abc import Callable
@@ -27,7 +28,7 @@ def command() -> None:
     """Query and control a running fusion node."""
 
 
-def _node_options(function: Callable[..., int]) -> Callable[..., int]:
+def _node_options(function: Callable[..., None]) -> Callable[..., None]:
     """Give a command ``--node`` and ``--timeout``; it gets the ``LiveClient``."""
     node = click.option(
         "--node",
@@ -44,12 +45,12 @@ def _node_options(function: Callable[..., int]) -> Callable[..., int]:
         help="Time to wait for the node. [default: 10 s]",
     )
 
-    def wrapper(node: str, timeout_s: float, **given: Any) -> int:
+    def wrapper(node: str, timeout_s: float, **given: Any) -> None:
         import_rclpy()
         # By its name: rclpy is an extra.
         ros = importlib.import_module("slamfusion.ros.live_client")
         with ros.LiveClient(node, timeout_s) as client:
-            return function(client, **given)
+            function(client, **given)
 
     wrapper.__doc__ = function.__doc__
     return node(timeout(options.common(wrapper)))
@@ -57,22 +58,21 @@ def _node_options(function: Callable[..., int]) -> Callable[..., int]:
 
 @command.command("status")
 @_node_options
-def status_command(client: Any, as_json: bool) -> int:
+def status_command(client: Any, as_json: bool) -> None:
     """Show which inputs vote, and why others do not."""
     found = client.status()
     if as_json:
         print_json(found)
     else:
         _print(found)
-    return 0
 
 
 @command.command("watch")
 @_node_options
-def watch_command(client: Any, as_json: bool) -> int:
+def watch_command(client: Any, as_json: bool) -> None:
     """Print each change of a vote or warning until Ctrl-C; with --json one line each."""
     printed: dict[str, tuple[str, str]] = {}
-    try:
+    with contextlib.suppress(KeyboardInterrupt):
         while True:
             found = client.status()
             for line in (found["fusion"], *found["inputs"]):
@@ -81,8 +81,6 @@ def watch_command(client: Any, as_json: bool) -> int:
                 if printed.get(line["name"]) != now:
                     printed[line["name"]] = now
                     print(json.dumps(line) if as_json else _words(line), flush=True)
-    except KeyboardInterrupt:
-        return 0
 
 
 def _words(line: LiveLineJson) -> str:
@@ -99,18 +97,18 @@ def _words(line: LiveLineJson) -> str:
 @_node_options
 def save_command(
     client: Any, path: str | None, image_format: str | None, mode: str | None, as_json: bool
-) -> int:
+) -> None:
     """Save the fused map to the node's save_path, or to --path in its folder."""
     rules = {"path": path, "format": image_format, "mode": mode}
     given = {name: value for name, value in rules.items() if value is not None}
-    return _tell(client.save_as(**given) if given else client.call("save_map"), as_json)
+    _tell(client.save_as(**given) if given else client.call("save_map"), as_json)
 
 
 @command.command("reset")
 @_node_options
-def reset_command(client: Any, as_json: bool) -> int:
+def reset_command(client: Any, as_json: bool) -> None:
     """Start a new fused frame with the newest maps."""
-    return _tell(client.call("reset"), as_json)
+    _tell(client.call("reset"), as_json)
 
 
 @command.command("add")
@@ -121,17 +119,17 @@ def reset_command(client: Any, as_json: bool) -> int:
     help="Topic of its maps, or file:PATH of a map on the node's machine. [default: NAME/map]",
 )
 @_node_options
-def add_command(client: Any, name: str, topic: str | None, as_json: bool) -> int:
+def add_command(client: Any, name: str, topic: str | None, as_json: bool) -> None:
     """Add the maps of another SLAM, which votes once they fit."""
-    return _tell(client.add(name, topic), as_json)
+    _tell(client.add(name, topic), as_json)
 
 
 @command.command("remove")
 @click.argument("name", metavar="NAME")
 @_node_options
-def remove_command(client: Any, name: str, as_json: bool) -> int:
+def remove_command(client: Any, name: str, as_json: bool) -> None:
     """Remove an input and its vote."""
-    return _tell(client.remove(name), as_json)
+    _tell(client.remove(name), as_json)
 
 
 # A value may be negative.
@@ -139,12 +137,12 @@ def remove_command(client: Any, name: str, as_json: bool) -> int:
 @click.argument("parameter", metavar="PARAMETER")
 @click.argument("value", metavar="VALUE")
 @_node_options
-def set_command(client: Any, parameter: str, value: str, as_json: bool) -> int:
+def set_command(client: Any, parameter: str, value: str, as_json: bool) -> None:
     """Set a parameter of the running node, such as max_publish_rate_hz."""
-    return _tell(client.set(parameter, value), as_json)
+    _tell(client.set(parameter, value), as_json)
 
 
-def _tell(answer: LiveAnswerDocument, as_json: bool) -> int:
+def _tell(answer: LiveAnswerDocument, as_json: bool) -> None:
     """Print an answer; a refusal is an error."""
     if as_json:
         print_json(answer)
@@ -152,7 +150,6 @@ def _tell(answer: LiveAnswerDocument, as_json: bool) -> int:
         raise SlamFusionError(answer["message"])
     if not as_json:
         print(answer["message"])
-    return 0
 
 
 def _print(found: LiveStatusDocument) -> None:

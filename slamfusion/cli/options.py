@@ -36,6 +36,8 @@ from slamfusion.jobs.outputs import possible_report
 F = TypeVar("F", bound=Callable[..., Any])
 
 
+# Its import says what to install.
+REPORT = "slamfusion.report"
 # What help calls a value, by its unit or else its type.
 METAVARS = {"%": "PERCENT", "cells": "CELLS", "str": "TEXT", "int": "N", "float": "NUMBER"}
 
@@ -43,12 +45,16 @@ METAVARS = {"%": "PERCENT", "cells": "CELLS", "str": "TEXT", "int": "N", "float"
 def settings(
     *sections: str, base: RunConfig | None = None, preset: RunConfig | None = None
 ) -> Callable[[F], F]:
-    """Add ``--config`` and options for the public fields of sections; pass ``config`` on."""
+    """Add ``--config`` and options for the public fields of sections; pass ``config`` on.
+
+    ``NAME.*`` is a section with all its parts.
+    """
     defaults = base or RunConfig()
     chosen = [
         option
         for option in config_fields(defaults)
-        if option.section in sections and option.info.level == "public"
+        if option.info.level == "public"
+        and (option.section in sections or f"{option.section.partition('.')[0]}.*" in sections)
     ]
 
     def decorate(function: F) -> F:
@@ -87,26 +93,27 @@ def file(
 
 
 def output(
-    *names: str, files: paths.Files = lambda path, _: [path], **more: Any
+    *names: str,
+    files: paths.Files = lambda path, _: [path],
+    ends: Sequence[str] = (),
+    needs: str = "",
+    **more: Any,
 ) -> Callable[[F], F]:
-    """Return the option of a command that says where something is written."""
-    return click.option(*names, type=paths.OutputPath(files), **more)
+    """Return the option of a command that says where something is written; see ``OutputPath``."""
+    return click.option(*names, type=paths.OutputPath(files, ends, needs), **more)
 
 
-def check_picture(name: str, path: Path | None) -> None:
-    """Refuse a picture with a wrong suffix, or without matplotlib, before any work is done."""
-    if path is None:
-        return
-    if path.suffix.lower().removeprefix(".") not in PICTURE_FORMS:
-        message = f"{path}: wanted a name that ends in .{', .'.join(PICTURE_FORMS)}"
-        raise click.BadParameter(message, param_hint=f"'{name}'")
-    check_report(path.parent)
+def main_output(parameter: str, metavar: str, text: str, files: paths.Files) -> Callable[[F], F]:
+    """Return the required option ``-o`` of a command."""
+    return output(
+        "-o", "--output", parameter, files=files, required=True, metavar=metavar, help=text
+    )
 
 
-def check_report(folder: Path | None) -> None:
-    """Refuse a report without matplotlib before any work is done."""
-    if folder is not None:
-        import slamfusion.report  # noqa: F401, PLC0415  (says what to install)
+def picture(name: str, parameter: str, text: str, **more: Any) -> Callable[[F], F]:
+    """Return the option of a command that can draw into a file of one of the picture's forms."""
+    ends = [f".{form}" for form in PICTURE_FORMS]
+    return output(name, parameter, ends=ends, needs=REPORT, metavar="FILE", help=text, **more)
 
 
 def case(
@@ -141,6 +148,7 @@ def report(parameter: str, folders: paths.Files = lambda folder, _: [folder]) ->
         files=lambda path, given: [
             file for folder in folders(path, given) for file in possible_report(folder)
         ],
+        needs=REPORT,
         metavar="DIR",
         help="Write an HTML report with its pictures to this folder.",
     )
@@ -148,6 +156,13 @@ def report(parameter: str, folders: paths.Files = lambda folder, _: [folder]) ->
 
 open_report = click.option(
     "--open", "is_opened", is_flag=True, help="Open the report in the browser when it is written."
+)
+
+
+probabilities = click.option(
+    "--probabilities",
+    is_flag=True,
+    help="Also write the map as probabilities: NAME_probability.yaml and .png.",
 )
 
 
@@ -179,29 +194,12 @@ def check_odometry(odometry: object, relations: object) -> None:
         raise click.UsageError(message)
 
 
-def drive_options(judged: str) -> Callable[[F], F]:
-    """Give a command the files that belong to LOG, and ``--probabilities``."""
-    probabilities = click.option(
-        "--probabilities",
-        is_flag=True,
-        help="Also write the map as probabilities: NAME_probability.yaml and .png.",
-    )
-
-    def decorate(function: F) -> F:
-        return drive_files(judged)(probabilities(function))
-
-    return decorate
-
-
-def resolution(function: F) -> F:
-    """Give a command ``--resolution`` for images that come without a YAML file."""
-    decorate = click.option(
-        "--resolution",
-        type=Number(float),
-        metavar="M",
-        help="Cell size of images without YAML, in metres.",
-    )
-    return decorate(function)
+resolution = click.option(
+    "--resolution",
+    type=Number(float),
+    metavar="M",
+    help="Cell size of images without YAML, in metres.",
+)
 
 
 def scale(text: str) -> Callable[[F], F]:
@@ -345,7 +343,6 @@ def scheduler(tasks: str) -> Callable[[F], F]:
 
     return click.option(
         "--scheduler",
-        "scheduler",
         metavar="WHERE",
         callback=checked,
         help=f"Run {tasks} on a Dask cluster: local or local:N (N processes on this machine), or "
@@ -371,7 +368,6 @@ def seeds(places: str) -> Callable[[F], F]:
 
     return click.option(
         "--seeds",
-        "seeds",
         callback=seeds,
         metavar="0-9",
         help=f"Run with each of these seeds (0-9 or 1,2,5) and compare them: {places}.",

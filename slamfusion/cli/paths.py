@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import importlib
 import os
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -41,7 +42,23 @@ class CasePath(InputPath):
 
 
 class OutputPath(InputPath):
-    """A path that is written to: a file, or a folder or start of names for several."""
+    """A path that is written to: a file, or a folder or start of names for several.
+
+    A wrong suffix, or a missing extra that the module ``needs`` loads, is an error before any work.
+    """
+
+    def __init__(self, files: Files, ends: Sequence[str] = (), needs: str = "") -> None:
+        super().__init__(files)
+        self.ends, self.needs = ends, needs
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return the path."""
+        path = super().convert(value, param, ctx)
+        if self.ends and path.suffix.lower() not in self.ends:
+            self.fail(f"{path}: wanted a name that ends in {', '.join(self.ends)}", param, ctx)
+        if self.needs:
+            importlib.import_module(self.needs)
+        return path
 
 
 def _read_of_file(path: Path, _: Mapping[str, Any]) -> Iterable[Path]:

@@ -29,23 +29,15 @@ if TYPE_CHECKING:
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-SUFFIX = ".zip"
-
-
-def _zip_file(_: click.Context, __: click.Parameter, path: Path | None) -> Path | None:
-    """Refuse another kind of file, or a missing extra, before any work."""
-    if path is not None:
-        if path.suffix.lower() != SUFFIX:
-            raise click.BadParameter(f"{path}: wanted a name that ends in {SUFFIX}")
-        import slamfusion.jobs.results  # noqa: F401, PLC0415  (says what to install)
-    return path
-
+# Its import says what to install.
+RESULTS = "slamfusion.jobs.results"
 
 # Of a command that hands its value to ``save_results``.
 results_option = options.output(
     "--save-results",
     "results_path",
-    callback=_zip_file,
+    ends=[".zip"],
+    needs=RESULTS,
     metavar="FILE.zip",
     help="Save all results, settings and the SHA-256 of the inputs, for `slamfusion compare`.",
 )
@@ -176,6 +168,8 @@ def table_option(function: F) -> F:
         "--table",
         "table_path",
         files=_files,
+        ends=FORMS,
+        needs=RESULTS,
         metavar="FILE",
         help="Also write all tables: .csv (FILE.csv, FILE-2.csv ...), .md or .tex.",
     )
@@ -184,13 +178,8 @@ def table_option(function: F) -> F:
     def wrapper(*arguments: Any, table_path: Path | None, **given: Any) -> Any:
         if table_path is None:
             return function(*arguments, **given)
-        if table_path.suffix.lower() not in FORMS:
-            message = f"{table_path}: wanted a name that ends in {', '.join(FORMS)}"
-            raise click.BadParameter(message, param_hint="'--table'")
         if given.get("as_json"):
             raise click.UsageError("--table and --json exclude each other; leave one out")
-        import slamfusion.jobs.results  # noqa: F401, PLC0415  (says what to install)
-
         settings = click.get_current_context().ensure_object(Settings)
         settings.tables, settings.verbose = [], True
         try:

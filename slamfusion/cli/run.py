@@ -93,15 +93,12 @@ def _files(out: Path, given: Mapping[str, Any]) -> list[Path]:
     ],
 )
 @click.argument("logs", metavar="LOG...", nargs=-1, required=True, type=FILE)
-@options.output(
-    "-o",
-    "--output",
+@options.main_output(
     "out",
-    files=_files,
-    required=True,
-    metavar="DIR",
-    help="Write the map, path and record of each SLAM, the fused map and path, the record "
+    "DIR",
+    "Write the map, path and record of each SLAM, the fused map and path, the record "
     "fused.json and report/ to this folder.",
+    _files,
 )
 @click.option(
     "--inputs",
@@ -127,17 +124,15 @@ def _files(out: Path, given: Mapping[str, Any]) -> list[Path]:
     "Expected pose of the saved map or SLAM NAME. Several starts share one frame. A single start "
     "is given in the start frame of the drive."
 )
-@options.drive_options("paths")
+@options.drive_files("paths")
+@options.probabilities
 @options.resolution
 @options.scheduler("several logs or seeds")
 @options.seeds("DIR/LOG/seed-N")
 @options.open_report
 @options.settings(
     "run",
-    "fusion",
-    "fusion.normalize",
-    "fusion.align",
-    "fusion.vote",
+    "fusion.*",
     "map_files",
     "log",
     "evaluate",
@@ -162,7 +157,7 @@ def command(
     as_json: bool,
     probabilities: bool,
     **asked: Any,
-) -> int:
+) -> None:
     """Map a log with several SLAMs, fuse their maps, write a report.
 
     LOG is a CARMEN or tinySLAM log, or a ROS bag. A SLAM that fails is named and left out; at
@@ -184,10 +179,11 @@ def command(
         if len(logs) > 1 or seeds:
             if len(logs) > 1:
                 _refuse_files_of_one_log(config, asked)
-            return _run_several(
+            _run_several(
                 log_tasks(logs, out, seeds, probabilities=probabilities),
                 out, config, scheduler, asked, results_path=results_path, as_json=as_json,
             )  # fmt: skip
+            return
         if scheduler is not None:
             message = (
                 "--scheduler is for several logs or seeds; the SLAMs of one log run in parallel"
@@ -210,7 +206,6 @@ def command(
     if reason := run.error or "; ".join(run.not_measured):
         earlier = "" if run.folder == out else f"; {out} keeps its earlier results"
         raise SlamFusionError(f"{reason} (the files so far are in {run.folder}{earlier})")
-    return 0
 
 
 def _print(run: LogRun, *, as_json: bool) -> None:
@@ -361,7 +356,7 @@ def _run_several(
     *,
     results_path: Path | None,
     as_json: bool,
-) -> int:
+) -> None:
     from slamfusion.fleet import executor_for  # noqa: PLC0415
     from slamfusion.jobs.records import Settings as SettingsUsed  # noqa: PLC0415
     from slamfusion.jobs.run_many import RunsDocument, run_logs  # noqa: PLC0415
@@ -396,7 +391,6 @@ def _run_several(
         reasons.append(f"{count} not all could be measured ({words})")
     if reasons:
         raise SlamFusionError("; ".join(reasons))
-    return 0
 
 
 def _print_logs(runs: Sequence[RunOfLog], out: Path) -> None:

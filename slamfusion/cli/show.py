@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import sys
 import threading
@@ -51,7 +52,7 @@ MOST_NAMED = 8
     help="Drive of an experiment to show. [default: the first]",
 )
 @options.common
-def command(folder: Path, port: int, host: str, drive: str, as_json: bool) -> int:
+def command(folder: Path, port: int, host: str, drive: str, as_json: bool) -> None:
     """Show the maps of a run in the browser.
 
     DIR is a folder that `slamfusion run`, `fuse` or `experiment` wrote, a fused map, or any folder
@@ -73,14 +74,9 @@ def command(folder: Path, port: int, host: str, drive: str, as_json: bool) -> in
         notice("open that address in a browser; Ctrl-C ends it")
         if found.also:
             notice(f"other drives there, by --drive: {', '.join(found.also)}")
-    try:
+    with contextlib.closing(server), contextlib.suppress(KeyboardInterrupt):
         sys.stdout.flush()
         threading.Event().wait()
-    except KeyboardInterrupt:
-        return 0
-    finally:
-        server.close()
-    return 0
 
 
 # --- what a job left in its folder ----------------------------------------------------------------

@@ -50,21 +50,15 @@ def _files(folder: Path, given: Mapping[str, Any]) -> list[Path]:
     examples=["simulate office -o out/drive", "simulate f16 --lidar rplidar --seed 1 -o out/drive"],
 )
 @click.argument("course", type=InputPath(_read))
-@options.output(
-    "-o",
-    "--output",
-    "folder",
-    files=_files,
-    required=True,
-    metavar="DIR",
-    help="Write the log, the truth and the course to this folder.",
+@options.main_output(
+    "folder", "DIR", "Write the log, the truth and the course to this folder.", _files
 )
 @options.settings("simulate", "device", "")
 @options.common
 @click.pass_context
 def command(
     context: click.Context, course: Path, folder: Path, config: RunConfig, as_json: bool
-) -> int:
+) -> None:
     """Simulate a robot's log, with the true map and path.
 
     COURSE is the name of a course, or a YAML file. The command writes NAME.log.gz (a CARMEN log),
@@ -86,7 +80,6 @@ def command(
         print_json(made)
     else:
         _print(made)
-    return 0
 
 
 def _print(made: SimulatedDrive) -> None:

@@ -62,17 +62,15 @@ def _make_command(name: str) -> click.Command:
 
     @click.command(name, cls=Command, examples=[f"slam {name} drive.log.gz -o out/{name}"])
     @click.argument("log", type=FILE)
-    @options.output(
-        "-o",
-        "--output",
+    @options.main_output(
         "out",
-        files=_files,
-        required=True,
-        metavar="OUT",
-        help="Write the map OUT.yaml, OUT.pgm, the path OUT.tum and the record OUT.json.",
+        "OUT",
+        "Write the map OUT.yaml, OUT.pgm, the path OUT.tum and the record OUT.json.",
+        _files,
     )
     @options.seeds("OUT_seed-N")
-    @options.drive_options("path")
+    @options.drive_files("path")
+    @options.probabilities
     @options.file("--truth", "truth", "FILE", "The true trajectory. Adds the errors of the path.")
     @options.file("--truth-map", "truth_map", "MAP", "The true map. Adds the map errors.", MAP)
     @options.report("report")
@@ -82,10 +80,11 @@ def _make_command(name: str) -> click.Command:
     )
     @options.common
     @table_option
-    def run(log: Path, out: Path, seeds: tuple[int, ...], **asked: Any) -> int:
+    def run(log: Path, out: Path, seeds: tuple[int, ...], **asked: Any) -> None:
         if not seeds:
-            return _run(name, log, stem_of(out, SUFFIXES), **asked)
-        return _run_seeds(name, log, _stems(stem_of(out, SUFFIXES), seeds), **asked)
+            _run(name, log, stem_of(out, SUFFIXES), **asked)
+        else:
+            _run_seeds(name, log, _stems(stem_of(out, SUFFIXES), seeds), **asked)
 
     run.help = (
         f"Map a log with {record.summary}.\n\n"
@@ -113,7 +112,7 @@ def _run(
     state: Path | None = None,
     stop_after: int | None = None,
     **asked: Any,
-) -> int:
+) -> None:
     from slamfusion.jobs.map_log import map_log, save_mapped_log  # noqa: PLC0415
 
     options.check_odometry(asked["odometry"], asked["relations"])
@@ -121,7 +120,6 @@ def _run(
         from slamfusion.io.files import open_regular  # noqa: PLC0415  (OpenCV loads slowly)
 
         open_regular(resume, SlamFusionError).close()
-    options.check_report(report)
     with progress_bar() as progress:
         mapped = map_log(
             log,
@@ -141,13 +139,12 @@ def _run(
         notice(f"{name}: {sentence}")
     if as_json:
         print_json(saved)
-        return 0
+        return
     _print(mapped.result, log)
     for path in saved.result.files:
         print(path)
     if report is not None:
         print(report / PAGE)
-    return 0
 
 
 def _run_seeds(
@@ -159,7 +156,7 @@ def _run_seeds(
     as_json: bool,
     probabilities: bool,
     **asked: Any,
-) -> int:
+) -> None:
     """Run with each seed, write the files of each, and print one table with their means."""
     from slamfusion.evaluation.measured import map_figures, result_rows  # noqa: PLC0415
     from slamfusion.jobs.map_log import map_log, save_mapped_log  # noqa: PLC0415
@@ -189,7 +186,6 @@ def _run_seeds(
     else:
         print_items(rows, "SLAM", ("ate_rmse_m", "relations_mean_m", "error"))
         print_facts(*((f"seed {seed}", f"{stem}.yaml") for seed, stem in stems.items()))
-    return 0
 
 
 def _print(result: ProducerResult, log: Path) -> None:

@@ -180,7 +180,7 @@ def test_same_stems_get_distinct_names(tmp_path: Path) -> None:
 def test_options_override_the_config_file(tmp_path: Path) -> None:
     config = tmp_path / "config.yaml"
     config.write_text(
-        "seed: 7\nfusion: {vote: {unknown: abstain}, align: {candidates: 6}}\n", encoding="utf-8"
+        "seed: 7\nfusion: {vote: {unknown: abstain}, align: {coarse_cells: 50}}\n", encoding="utf-8"
     )
     arguments = ("fuse", *MAPS[:2], "-o", tmp_path / "out", "--config", config)
     done = run_here(*arguments, "--unknown", "value", "--json")
@@ -188,7 +188,7 @@ def test_options_override_the_config_file(tmp_path: Path) -> None:
     effective = json_of(done)["config"]
     assert effective["seed"] == 7
     assert effective["fusion"]["vote"]["unknown"] == "value"
-    assert effective["fusion"]["align"]["candidates"] == 6
+    assert effective["fusion"]["align"]["coarse_cells"] == 50
 
 
 def test_evaluate_measures_pictures_and_distances(tmp_path: Path) -> None:
