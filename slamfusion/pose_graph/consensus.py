@@ -11,8 +11,6 @@ Set Maximization, ICRA 2018; here pairs are near and all of them count, instead 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import numpy.typing as npt
 import scipy
@@ -38,21 +36,15 @@ PAIRS_AT_ONCE, MOST_PAIRS = 100_000, 2_000_000
 FEWEST_LOOPS = 20
 
 
-@dataclass(frozen=True, eq=False)
-class Consensus:
-    """The mutual support of closures.
+def find_consensus(
+    measured: Measurements, may_be_outlier: npt.NDArray[np.bool_]
+) -> tuple[Indices, float]:
+    """Find the possible outliers, (M,) bool, that support each other.
 
-    Attributes:
-        mates: (C,) int64, number of closures with which each closes a short loop.
-        scale: the squared errors of such loops relative to the information; 1 if there are too few.
+    Returns:
+        (C,) int64, the number of those with which each closes a short loop; and the squared errors
+        of such loops relative to the information, 1 if there are too few loops.
     """
-
-    mates: Indices
-    scale: float
-
-
-def find_consensus(measured: Measurements, may_be_outlier: npt.NDArray[np.bool_]) -> Consensus:
-    """Find the possible outliers, (M,) bool, that support each other."""
     edges, motions = measured.edges, measured.motions
     covariances = inverted(measured.information)
     odometry = _Odometry(edges, motions, covariances, ~may_be_outlier)
@@ -69,20 +61,16 @@ def find_consensus(measured: Measurements, may_be_outlier: npt.NDArray[np.bool_]
                 for start in range(0, max(len(pairs), 1), PAIRS_AT_ONCE)
             ]
         )
-        scale = _scale(errors)
+        plausible = errors[errors <= LARGE]
+        is_known = len(plausible) >= FEWEST_LOOPS
+        scale = float(np.median(plausible)) / MEDIAN if is_known else 1.0
         closes = errors <= min(LARGE, TYPICAL_TIMES * MEDIAN * scale)
         mates = np.bincount(pairs[closes].ravel(), minlength=len(closures.first))
         is_supported = mates > 0
         reach *= 2
         is_enough = is_supported.mean() >= ENOUGH or reach > FAR_POSES
         if is_enough or places.count_neighbors(places, reach, p=np.inf) > MOST_PAIRS:
-            return Consensus(mates, scale)
-
-
-def _scale(errors: F64) -> float:
-    """Return the median of the errors of loops that may close, relative to chi-square's."""
-    plausible = errors[errors <= LARGE]
-    return 1.0 if len(plausible) < FEWEST_LOOPS else float(np.median(plausible)) / MEDIAN
+            return mates, scale
 
 
 class _Odometry:

@@ -21,10 +21,9 @@ from slamfusion.io.lines import packed_by_name, text_lines
 from slamfusion.pose_graph.graph import (
     PoseGraph,
     chained_poses,
-    disconnected,
+    check_connected,
     is_positive_definite,
     loop_closing,
-    part_labels,
 )
 
 # Places of an edge's last six numbers in the information matrix, in the file's order.
@@ -72,16 +71,19 @@ def read_g2o(path: str | Path) -> GraphFile:
     target = Path(path)
     lines = _Lines(target)
     if not lines.vertices and not lines.edges:
-        raise GraphError(f"{target}: {_nothing(lines)}")
+        message = f"the file is empty; wanted lines of {_WANTED}"
+        if lines.skipped:
+            kinds = lines.skipped.most_common(3)
+            found = ", ".join(f"{count} {kind[:40]!r}" for kind, count in kinds)
+            message = f"no vertex and no edge; wanted lines of {_WANTED}, found {found}"
+        raise GraphError(f"{target}: {message}")
     names = lines.vertices or {name: () for edge in lines.edges for name in edge[:2]}
     ids = np.array(sorted(names), np.int64)
     index = {name: place for place, name in enumerate(ids.tolist())}
     lines.check(index)
     edges = np.array([(index[one], index[two]) for one, two in lines.edges], np.int64)
     edges = edges.reshape(-1, 2)
-    parts, _ = part_labels(edges, len(ids))
-    if parts > 1:
-        raise GraphError(f"{target}: {disconnected(parts)}")
+    check_connected(edges, len(ids), f"{target}: ")
     poses = np.array([names[name] or (0.0, 0.0, 0.0) for name in ids.tolist()], np.float64)
     graph = PoseGraph(
         poses=poses,
@@ -211,10 +213,3 @@ class _Lines:
 
     def _error(self, number: int, text: str) -> GraphError:
         return GraphError(f"{self._path}: line {number}: {text}")
-
-
-def _nothing(lines: _Lines) -> str:
-    if not lines.skipped:
-        return f"the file is empty; wanted lines of {_WANTED}"
-    found = ", ".join(f"{count} {kind[:40]!r}" for kind, count in lines.skipped.most_common(3))
-    return f"no vertex and no edge; wanted lines of {_WANTED}, found {found}"

@@ -84,6 +84,14 @@ def part_labels(edges: npt.NDArray[np.int64], count: int) -> tuple[int, npt.NDAr
     return int(parts), np.asarray(labels, np.int32)
 
 
+def check_connected(edges: npt.NDArray[np.int64], count: int, where: str = "") -> None:
+    """Raise ``GraphError`` if a graph of ``count`` poses is in several parts."""
+    parts, _ = part_labels(edges, count)
+    if parts > 1:
+        message = f"{where}the graph is in {parts} parts that no edge joins"
+        raise GraphError(f"{message}; optimise each part on its own")
+
+
 def loop_closing(edges: npt.NDArray[np.int64], count: int) -> npt.NDArray[np.bool_]:
     """Return which edges, (M, 2) from and to, close a loop on top of odometry, (M,) bool.
 
@@ -114,28 +122,13 @@ def joining(
 
 
 def chained_poses(graph: PoseGraph, root: int = 0) -> F64:
-    """Return (N, 3) poses chained from ``root`` along odometry first; loops are not closed."""
-    check_connected(graph)
-    closing = graph.is_closure.copy()
-    closing[joining(graph.edges, graph.is_closure, len(graph))] = False
-    return _walk(graph, np.flatnonzero(~closing), root)
+    """Return (N, 3) poses of a connected graph, chained from ``root`` along odometry first.
 
-
-def check_connected(graph: PoseGraph) -> None:
-    """Raise ``GraphError`` if the graph is in several parts."""
-    parts, _ = part_labels(graph.edges, len(graph))
-    if parts > 1:
-        raise GraphError(disconnected(parts))
-
-
-def disconnected(parts: int) -> str:
-    """Return the message for a graph in several parts."""
-    return f"the graph is in {parts} parts that no edge joins; optimise each part on its own"
-
-
-def _walk(graph: PoseGraph, used: npt.NDArray[np.int64], root: int) -> F64:
-    """Follow a breadth-first tree of the used edges from the root, one depth at a time."""
+    Loops are not closed. It follows a breadth-first tree, one depth at a time.
+    """
     count = len(graph)
+    used = ~graph.is_closure
+    used[joining(graph.edges, graph.is_closure, count)] = True
     ends = graph.edges[used]
     _, parents = scipy.sparse.csgraph.breadth_first_order(
         _adjacency(ends, count), root, directed=False

@@ -194,9 +194,9 @@ class NormalEquations:
         # Minus the third row of the transposed Jacobian of the first pose, times the information.
         lever = (y * i00 - x * i01 - i02, y * i01 - x * i11 - i12, y * i02 - x * i12 - i22)
         self._fill(
-            ends=(i00, i01, i02, i11, i12, i22),
-            starts=(i00, i01, -lever[0], i11, -lever[1], y * lever[0] - x * lever[1] - lever[2]),
-            between=(-i00, -i01, -i02, -i01, -i11, -i12, *lever),
+            (i00, i01, i02, i11, i12, i22),
+            (i00, i01, -lever[0], i11, -lever[1], y * lever[0] - x * lever[1] - lever[2]),
+            (-i00, -i01, -i02, -i01, -i11, -i12, *lever),
         )
         pull = (
             i00 * error[0] + i01 * error[1] + i02 * error[2],
@@ -271,7 +271,7 @@ class NormalEquations:
         self._columns = np.append(starts.ravel(), target.size).astype(np.int32)
         self._diagonal = target[rows == columns][:, within, within].ravel()
 
-    def _fill(self, *, ends: Sequence[F64], starts: Sequence[F64], between: Sequence[F64]) -> None:
+    def _fill(self, ends: Sequence[F64], starts: Sequence[F64], between: Sequence[F64]) -> None:
         """Sum the edges' blocks: of their last poses, of their first ones (upper), of the pairs."""
         count = len(self.free)
         upper = ((0, 1, 2, 4, 5, 8), (0, 3, 6, 4, 7, 8))
@@ -300,15 +300,6 @@ def rotations_first(equations: NormalEquations, poses: F64) -> F64:
     Then poses and yaws together, with the measured way along each edge. Of ``poses`` (N, 3) only
     the fixed ones count; the result is (N, 3) float64, not wrapped.
     """
-    turned = np.array(poses, np.float64)
-    turned[equations.free, 2] = _yaws(equations, turned[:, 2])
-    equations.linearise(turned, by_measured_ways=True)
-    step, _ = equations.step()
-    return turned + step
-
-
-def _yaws(equations: NormalEquations, yaws: F64) -> F64:
-    """Return the yaws of the free poses from those of the fixed ones, (F,)."""
     measured = equations.measurements
     start, end = measured.start, measured.end
     # The information of yaw with x and y unknown.
@@ -318,14 +309,17 @@ def _yaws(equations: NormalEquations, yaws: F64) -> F64:
     )
     weight = np.maximum(yaw - known, 1e-9 * yaw)
     turn = np.exp(1j * measured.motion[2])
-    count, free = len(yaws), equations.free
+    turned = np.array(poses, np.float64)
+    count, free, fixed = len(turned), equations.free, list(equations.fixed)
     rows = np.concatenate((start, end, end, start))
     columns = np.concatenate((start, end, start, end))
     values = np.concatenate((weight, weight, -weight * turn, -weight * turn.conj()))
     matrix = scipy.sparse.csc_matrix((values, (rows, columns)), shape=(count, count))
-    fixed = list(equations.fixed)
-    pull = -(matrix[:, fixed] @ np.exp(1j * yaws[fixed]))[free]
-    return np.asarray(np.angle(factorise(matrix[:, free][free]).solve(pull)), np.float64)
+    pull = -(matrix[:, fixed] @ np.exp(1j * turned[fixed, 2]))[free]
+    turned[free, 2] = np.angle(factorise(matrix[:, free][free]).solve(pull))
+    equations.linearise(turned, by_measured_ways=True)
+    step, _ = equations.step()
+    return turned + step
 
 
 # Damping after a first step that increased the cost, and the damping at which the search stops.

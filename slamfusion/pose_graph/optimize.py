@@ -14,40 +14,31 @@ from slamfusion.errors import GraphError
 from slamfusion.geometry import F64, wrap_angles
 from slamfusion.pose_graph.graph import PoseGraph, chained_poses, check_connected, joining
 from slamfusion.pose_graph.least_squares import Measurements, Steps, at_once, rotations_first
-from slamfusion.pose_graph.robust import InlierSet, Problem, consensus, dcs, gnc
+from slamfusion.pose_graph.robust import InlierSet, Problem, consensus, dcs, gnc, plain
 
 Robust = Literal["none", "consensus", "gnc", "dcs"]
 Start = Literal["best", "given", "odometry", "chordal"]
 
 _ROBUST: dict[str, Callable[[Problem, F64 | None], Steps[InlierSet]]] = {
+    "none": plain,
     "consensus": consensus,
     "gnc": gnc,
     "dcs": dcs,
 }
 
 
-@dataclass(frozen=True, eq=False)
-class Optimized:
-    """An optimised graph.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Optimized(InlierSet):
+    """An optimised graph; yaws are in [-pi, pi), and weights of outliers are below 0.5.
 
     Attributes:
-        poses: (N, 3) float64, x, y, yaw in [-pi, pi).
-        weights: (M,) float64 in [0, 1], by which each edge's information counts; 1 for every edge
-            that cannot be an outlier, below 0.5 for outliers.
         chi2: sum of the squared errors in their deviations, weighted.
         chi2_all: the same with every weight 1.
-        is_converged: the last descent ended because another step would change next to nothing.
-        is_reevaluated: all closures were weighed; False where an earlier inlier set stands.
     """
 
-    poses: F64
-    weights: F64
     chi2: float
     chi2_all: float
     chi2_start: float
-    iterations: int
-    is_converged: bool
-    is_reevaluated: bool
     time_s: float
 
     @property
@@ -91,7 +82,7 @@ def optimize_in_steps(
     held = (fixed,) if isinstance(fixed, (int, np.integer)) else tuple(fixed)
     if not held or not all(0 <= pose < len(graph) for pose in held):
         raise GraphError(f"poses to hold must be some of 0 to {len(graph) - 1}, found {held}")
-    check_connected(graph)
+    check_connected(graph.edges, len(graph))
     was_outlier = None
     if weights is not None:
         earlier = np.asarray(weights)
@@ -115,8 +106,6 @@ def optimize_in_steps(
     try:
         if len(set(held)) == len(graph):
             found = InlierSet(graph.poses, np.ones(len(measured)), 0, is_converged=True)
-        elif robust == "none":
-            found = yield from _believe_all(problem, graph, start)
         else:
             found = yield from _ROBUST[robust](problem, _start(problem, graph, start))
     except RuntimeError as error:
@@ -126,14 +115,14 @@ def optimize_in_steps(
     poses = found.poses.copy()
     poses[:, 2] = wrap_angles(poses[:, 2])
     return Optimized(
-        poses=poses,
-        weights=found.weights,
+        poses,
+        found.weights,
+        found.iterations,
+        found.is_converged,
+        found.is_reevaluated,
         chi2=float(np.dot(found.weights, squares)),
         chi2_all=float(squares.sum()),
         chi2_start=float(measured.squared_errors(graph.poses).sum()),
-        iterations=found.iterations,
-        is_converged=found.is_converged,
-        is_reevaluated=found.is_reevaluated,
         time_s=time.perf_counter() - began,
     )
 
@@ -156,18 +145,3 @@ def _start(problem: Problem, graph: PoseGraph, start: Start) -> F64 | None:
     if start == "chordal":
         return rotations_first(problem.equations(np.ones(len(graph.edges), np.bool_)), graph.poses)
     return None
-
-
-def _believe_all(problem: Problem, graph: PoseGraph, start: Start) -> Steps[InlierSet]:
-    everything = np.ones(len(problem.measured), np.bool_)
-    poses = _start(problem, graph, start)
-    equations = problem.equations(everything)
-    if poses is None:
-        poses = min(
-            (graph.poses, rotations_first(equations, graph.poses)),
-            key=lambda at: float(problem.measured.squared_errors(at).sum()),
-        )
-    descent = yield from problem.descend(equations, poses)
-    return InlierSet(
-        descent.poses, everything.astype(np.float64), descent.iterations, descent.is_converged
-    )

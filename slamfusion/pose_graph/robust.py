@@ -114,11 +114,12 @@ class Problem:
 
 @dataclass(frozen=True, eq=False)
 class InlierSet:
-    """The closures that a robust search keeps, and the poses that fit them.
+    """The closures that a search keeps, and the poses that fit them.
 
     Attributes:
-        poses: (N, 3).
-        weights: (M,) in [0, 1]; 1 for edges that cannot be outliers.
+        poses: (N, 3) float64.
+        weights: (M,) float64 in [0, 1], by which each edge's information counts; 1 for edges that
+            cannot be outliers.
         is_converged: the last descent ended because another step would change next to nothing.
         is_reevaluated: all closures were weighed; False where an earlier inlier set stands.
     """
@@ -130,6 +131,19 @@ class InlierSet:
     is_reevaluated: bool = True
 
 
+def plain(problem: Problem, start: F64 | None = None) -> Steps[InlierSet]:
+    """Believe all closures; start where they fit better, as given or after the rotations."""
+    weights = np.ones(len(problem.measured))
+    equations = problem.equations(weights > 0.0)
+    if start is None:
+        start = min(
+            (problem.poses, rotations_first(equations, problem.poses)),
+            key=lambda at: float(problem.measured.squared_errors(at).sum()),
+        )
+    descent = yield from problem.descend(equations, start)
+    return InlierSet(descent.poses, weights, descent.iterations, descent.is_converged)
+
+
 def consensus(problem: Problem, start: F64 | None = None) -> Steps[InlierSet]:
     """Start from the closures that support each other and grow from there."""
     if start is not None and problem.was_outlier is not None:
@@ -137,15 +151,15 @@ def consensus(problem: Problem, start: F64 | None = None) -> Steps[InlierSet]:
         yield from earlier.keep_what_fits(start)
         if not earlier.new_outliers():
             return earlier.inlier_set()
-    found = find_consensus(problem.measured, problem.may_be_outlier)
-    limit = float(np.clip(LIMIT_PER_SCALE * found.scale, SMALLEST_LIMIT, LIMIT))
+    mates, scale = find_consensus(problem.measured, problem.may_be_outlier)
+    limit = float(np.clip(LIMIT_PER_SCALE * scale, SMALLEST_LIMIT, LIMIT))
     search = _Search(problem, limit)
     seeds = np.zeros(len(problem.measured), np.bool_)
-    has_two = found.mates > 1
-    has_enough = has_two if has_two.mean() > 0.5 else found.mates > 0
+    has_two = mates > 1
+    has_enough = has_two if has_two.mean() > 0.5 else mates > 0
     seeds[np.flatnonzero(problem.may_be_outlier)[has_enough]] = True
     yield from search.propose(seeds, start)
-    if search.is_strained(found.scale):
+    if search.is_strained(scale):
         odometry = yield from search.odometry()
         yield from search.propose(seeds, odometry, at_once=False)
     if search.is_nearly_complete():
@@ -153,9 +167,9 @@ def consensus(problem: Problem, start: F64 | None = None) -> Steps[InlierSet]:
     if not seeds.any():
         odometry = yield from search.odometry()
         yield from search.propose(problem.may_be_outlier, odometry, at_once=False)
-    agreement = float(np.clip(0.5 * LIMIT_PER_SCALE * found.scale, SMALLEST_AGREEMENT, LIMIT))
+    agreement = float(np.clip(0.5 * LIMIT_PER_SCALE * scale, SMALLEST_AGREEMENT, LIMIT))
     alone = np.zeros(len(problem.measured), np.bool_)
-    alone[np.flatnonzero(problem.may_be_outlier)[found.mates == 0]] = True
+    alone[np.flatnonzero(problem.may_be_outlier)[mates == 0]] = True
     yield from search.grow(agreement, alone)
     if start is None and (problem.may_be_outlier & ~search.used).any():
         yield from search.propose(search.used, None)

@@ -96,8 +96,6 @@ def relative_covariances(equations: NormalEquations, poses: F64, pairs: Indices)
 
 def gates(equations: NormalEquations, poses: F64, candidates: Measurements) -> Gates:
     """Check edges against a graph at its poses (N, 3), where the sum of squares is least."""
-    if len(candidates) == 0:
-        return Gates(np.zeros(0), np.zeros(0))
     measured = poses[candidates.start, 2] + candidates.motions[:, 2]
     own = turned(inverted(candidates.information), measured)
     vectors = (_turns(measured) @ candidates.errors(poses).T[..., None])[..., 0]
