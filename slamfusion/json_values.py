@@ -33,14 +33,19 @@ def printed_with(name: str) -> dict[str, str]:
 def record_keys(record: Any) -> dict[str, Any]:
     """Return the keys of a record (a dataclass) with their values.
 
-    Fields with ``repr=False`` are not printed, and metadata says what else differs. A method
+    Fields with ``repr=False`` are not printed, and metadata says what else differs. A class with
+    ``UNDER`` has the fields that it adds to its base in a mapping under that key. A method
     ``to_json`` replaces all this.
     """
     if hasattr(record, "to_json"):
-        found: Any = record.to_json()
-        return record_keys(found) if is_dataclass(found) else found
-    keys: dict[str, Any] = {}
+        other: Any = record.to_json()
+        return record_keys(other) if is_dataclass(other) else other
+    found: dict[str, Any] = {}
+    added: dict[str, Any] = {}
+    under = getattr(record, "UNDER", None)
+    own = type(record).__annotations__ if under else ()
     for item in fields(record):
+        keys = added if item.name in own else found
         value, how = getattr(record, item.name), item.metadata
         if "flat" in how:
             nulls = dict.fromkeys(printed_names(how["kind"])) if "kind" in how else {}
@@ -49,7 +54,7 @@ def record_keys(record: Any) -> dict[str, Any]:
             keys |= zip(POSE_KEYS, (value.x, value.y, value.yaw_rad), strict=True)
         elif item.repr and ("with" not in how or getattr(record, how["with"]) is not None):
             keys[how.get("key", item.name)] = value
-    return keys
+    return {**found, under: added} if under else found
 
 
 def printed_names(kind: type) -> list[str]:

@@ -99,7 +99,7 @@ def command(
             found = align_maps(still, moved, config, device)
     if as_json:
         factor = None if scale is None else plan.scale
-        made_by = Circumstances(config, device.name)
+        made_by = Circumstances(device.name, config)
         print_json(AlignDocument(found, made_by, moved.resolution, factor))
     else:
         _print_alignment(found, device.name, None if scale is None else moved.resolution)

@@ -137,7 +137,7 @@ def command(
         if report_dir is not None:
             write_failed_fusion(error, config, report_dir, device=device.name)
         if as_json:
-            circumstances = Circumstances(config, device.name)
+            circumstances = Circumstances(device.name, config)
             given = GivenMaps.of(maps, resolution)
             output.print_json(FuseDocument.failed(error, circumstances, given))
         elif error.pairs:

@@ -277,9 +277,9 @@ def _print_slams(run: LogRun) -> None:
         ]
         if name in made:
             own_run = made[name].run
-            ms = own_run.time_per_scan_ms()
-            row += [number(own_run.time_s, 1), number(ms["mean"], 1), number(ms["p95"], 1)]
-            row += [str(own_run.scans_used), number(own_run.peak_memory_bytes / 1e6, 1)]
+            ms = own_run.time_per_scan_ms
+            row += [number(own_run.time_s, 1), number(ms.mean, 1), number(ms.p95, 1)]
+            row += [str(own_run.scans_used), number(own_run.peak_memory_mb, 1)]
             row.append(number(own_run.health.mean_match_score))
         rows.append(row + ["-"] * (len(COLUMNS) - len(row)))
     shown = len(COLUMNS) if output.is_verbose() else BRIEF

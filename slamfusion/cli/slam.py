@@ -176,7 +176,7 @@ def _run_seeds(
             saved.append(save_mapped_log(mapped, stem, probabilities=probabilities))
             result = mapped.result
             figures = result.measures.figures()
-            figures["time_per_scan_ms"] = result.run.time_per_scan_ms()["mean"]
+            figures["time_per_scan_ms"] = result.run.time_per_scan_ms.mean
             errors = {} if result.map_error is None else map_figures(result.map_error)
             rows += result_rows(case_of(log), str(seed), name, {**figures, **errors})
             if mapped.failure is not None:

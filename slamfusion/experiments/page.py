@@ -317,7 +317,7 @@ class Experiment:
             self.noted(),
             self.sentences(),
             files,
-            Circumstances(config, device),
+            Circumstances(device, config),
         )
 
     def write(self, folder: Path, forms: Sequence[str] = ()) -> list[Path]:

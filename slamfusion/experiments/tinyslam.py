@@ -245,7 +245,7 @@ def run_on_drives(
         drive = by_name[run.drive]
         scans = drive.scans
         made = run_producer(make(run), scans, progress=lambda done: tell(done / len(scans)))
-        figures = {**drive.errors(made.trajectory, config), TIME: made.time_per_scan_ms()["mean"]}
+        figures = {**drive.errors(made.trajectory, config), TIME: made.time_per_scan_ms.mean}
         return RunResult(result_rows(run.case, str(run.seed), run.method, figures))
 
     tasks = {run.key: run for drive in drives for run in plan(drive.name)}

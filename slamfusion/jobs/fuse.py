@@ -134,7 +134,7 @@ class FusedMaps:
             groups=groups,
             evaluations=self.evaluations,
             given=self.given,
-            circumstances=Circumstances(self.config, result.device),
+            circumstances=Circumstances(result.device, self.config),
             time_s=result.time_s,
         )
 

@@ -207,7 +207,7 @@ def judge_paths(
         ranking_by_relations=tuple(ranked["relations"]),
         not_measured=not_measured,
         files=files,
-        circumstances=Circumstances(config, device.name),
+        circumstances=Circumstances(device.name, config),
     )
 
 

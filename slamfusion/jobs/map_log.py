@@ -53,26 +53,26 @@ class ProducerResult:
 
     def figures(self) -> list[tuple[str, str]]:
         """Return the run's numbers with their names."""
-        run, health, stamps_s = self.run, self.run.health, self.run.trajectory.stamps_s
-        ms = run.time_per_scan_ms()
+        run, health = self.run, self.run.health
+        ms = run.time_per_scan_ms
         fed, wheels = len(run.feed_s), "no odometry"
-        if run.odometry is not None:
-            wheels = f"{number(run.odometry.path_length_m(), 1)} m"
+        if run.odometry_path_length_m is not None:
+            wheels = f"{number(run.odometry_path_length_m, 1)} m"
         found = {
             "scans": f"{run.scans}, {run.scans_used} of them used",
             "scans fed in this run": "" if fed == run.scans else str(fed),
-            "duration of the drive": f"{number(float(stamps_s[-1] - stamps_s[0]), 1)} s",
-            "path length": f"{number(run.trajectory.path_length_m(), 1)} m",
+            "duration of the drive": f"{number(run.duration_s, 1)} s",
+            "path length": f"{number(run.path_length_m, 1)} m",
             "path length by odometry": wheels,
-            "time per scan": f"mean {number(ms['mean'], 2)} ms, median {number(ms['p50'], 2)} ms, "
-            f"95 % within {number(ms['p95'], 2)} ms, 99.9 % within {number(ms['p999'], 2)} ms, "
-            f"longest {number(ms['max'], 2)} ms",
+            "time per scan": f"mean {number(ms.mean, 2)} ms, median {number(ms.p50, 2)} ms, "
+            f"95 % within {number(ms.p95, 2)} ms, 99.9 % within {number(ms.p999, 2)} ms, "
+            f"longest {number(ms.max, 2)} ms",
             "time in all": f"{number(run.time_s, 1)} s, reading included",
-            "peak memory": f"{number(run.peak_memory_bytes / 1e6, 1)} MB map and filter, "
-            f"{number(run.process_peak_memory_bytes / 1e6, 0)} MB whole process",
+            "peak memory": f"{number(run.peak_memory_mb, 1)} MB map and filter, "
+            f"{number(run.process_peak_memory_mb, 0)} MB whole process",
             "match score": f"mean {number(health.mean_match_score)}, last "
             f"{number(health.match_score)}, {health.low_scores} below half of the mean, "
-            f"{run.low_in_a_row} of them in a row",
+            f"{run.low_scores_in_a_row} of them in a row",
             "effective particles": "" if health.n_eff is None else number(health.n_eff, 1),
             "map": f"{run.grid.width} x {run.grid.height} cells of {run.grid.resolution:g} m",
             "device": self.device,
@@ -131,12 +131,12 @@ class MappedLog:
         if run.known_scans:
             state = self.result.resumed_from
             sentences.append(f"passed over {run.known_scans} scans of {log} that {state} knows")
-        if not run.is_complete:
+        if not run.complete:
             sentences.append(
                 f"stopped after {len(run.feed_s)} scans, as asked for; the rest of {log} is "
                 "not in the map"
             )
-        return (*sentences, *run.warnings())
+        return (*sentences, *run.warnings)
 
 
 def map_log(
@@ -207,7 +207,7 @@ def map_log(
     return MappedLog(
         producers=(result,),
         files=files,
-        made_with=Circumstances(config, device.name),
+        made_with=Circumstances(device.name, config),
         mapper=mapper,
         true_path=ground_truth.truth,
         failure=failure,
@@ -303,11 +303,10 @@ def _write_report(mapped: MappedLog, directory: Path) -> None:
     from slamfusion.report import Fact, write_slam_report  # noqa: PLC0415  (an extra)
 
     result, run = mapped.result, mapped.result.run
-    time_ms = run.time_per_scan_ms()
     facts = [
         Fact(f"{run.scans_used} of {run.scans}", "scans used"),
-        Fact(f"{time_ms['mean']:.2f} ms", "a scan"),
-        Fact(f"{run.peak_memory_bytes / 1e6:.1f} MB", "map and filter"),
+        Fact(f"{run.time_per_scan_ms.mean:.2f} ms", "a scan"),
+        Fact(f"{run.peak_memory_mb:.1f} MB", "map and filter"),
     ]
     if run.health.mean_match_score is not None:
         facts.append(Fact(f"{run.health.mean_match_score:.3f}", "mean match score"))

@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib import resources
 from typing import Any, TypedDict
 
-from slamfusion.config import RunConfig, to_mapping
+from slamfusion.config import RunConfig
 from slamfusion.version import versions
 
 # --- what many documents share ----------------------------------------------------------------
@@ -26,45 +26,32 @@ class FailureDocument(TypedDict):
     """What was wrong, in one line."""
 
 
-class SettingsJson(TypedDict):
-    """What a result depends on besides its inputs."""
-
-    config: Mapping[str, Any]
-    """The settings in effect, as --config takes them."""
-    versions: Mapping[str, str | None]
-    """Versions of Python, of this package and of those it stands on; null: not installed."""
-
-
-class CircumstancesJson(SettingsJson):
-    """What a computed result depends on besides its inputs."""
-
-    device: str
-    """What computed it, in words."""
-    seed: int
-    """Seed of every random number."""
-
-
 @dataclass(frozen=True)
 class Settings:
-    """The settings and the versions that a result depends on."""
+    """What a result depends on besides its inputs."""
 
     config: RunConfig
-
-    def to_json(self) -> SettingsJson:
-        """Return them for a JSON document."""
-        return {"config": to_mapping(self.config), "versions": versions()}
+    """The settings in effect, as --config takes them."""
+    versions: Mapping[str, str | None] = field(init=False, default_factory=versions)
+    """Versions of Python, of this package and of those it stands on; null: not installed."""
 
 
 @dataclass(frozen=True)
 class Circumstances:
-    """The settings and the device that a computed result depends on."""
+    """What a computed result depends on besides its inputs."""
 
-    config: RunConfig
     device: str
+    """What computed it, in words."""
+    seed: int = field(init=False)
+    """Seed of every random number."""
+    config: RunConfig
+    """The settings in effect, as --config takes them."""
+    versions: Mapping[str, str | None] = field(init=False, default_factory=versions)
+    """Versions of Python, of this package and of those it stands on; null: not installed."""
 
-    def to_json(self) -> CircumstancesJson:
-        """Return them for a JSON document."""
-        return {"device": self.device, "seed": self.config.seed, **Settings(self.config).to_json()}
+    def __post_init__(self) -> None:
+        """Take the seed from the settings."""
+        vars(self)["seed"] = self.config.seed
 
 
 class MethodMeanJson(TypedDict):

@@ -242,7 +242,7 @@ def run_log(  # noqa: PLR0915 - one page, a heading a stage
         error=None if fusion.failure is None else str(fusion.failure),
         not_measured=tuple(stages.troubles),
         files=files,
-        made_with=Circumstances(config, device.name),
+        made_with=Circumstances(device.name, config),
         stages_s=stages.times_s,
         evidence=evidence,
         true_path=ground_truth.truth,

@@ -265,7 +265,7 @@ class LogRun:
             found += left_out_sentences(self.fusion.result)
         by_sentence: dict[str, list[str]] = {}
         for name, result in self.results.items():
-            for sentence in result.run.warnings():
+            for sentence in result.run.warnings:
                 by_sentence.setdefault(sentence, []).append(name)
         found += [f"{', '.join(names)}: {text}" for text, names in by_sentence.items()]
         if self.no_verdict is not None:
@@ -349,6 +349,6 @@ def _add_producer(
     """Stage the map, the path and the record of a producer; return it with its files."""
     stem, config = folder / made.name, run.made_with.config
     made = replace(made, files=outputs.output_files(stem, probabilities=probabilities))
-    record = RunRecord((made,), run.files, Circumstances(config, made.device))
+    record = RunRecord((made,), run.files, Circumstances(made.device, config))
     write_producer(made.run, record, stem, config, probabilities=probabilities)
     return made

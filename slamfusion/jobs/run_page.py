@@ -71,7 +71,7 @@ def _banner(run: LogRun) -> page.Banner:
     if result is not None:
         lines += fusion_report.doubtful_lines(result)
     for name, item in run.results.items():
-        lines += [(f"{name}:", text) for text in item.run.warnings()]
+        lines += [(f"{name}:", text) for text in item.run.warnings]
     if run.why_voted is not None:
         lines.append(("Not drawn:", f"the maps vote ({run.fused_mode}): {run.why_voted}"))
     lines += [("Not measured:", trouble) for trouble in run.not_measured]

@@ -78,7 +78,7 @@ def write_slam_report(
         truth: the true path; drawn where ``measures`` has the errors against it.
         measures: the errors of the path.
     """
-    normalize, warnings = config.fusion.normalize, run.warnings()
+    normalize, warnings = config.fusion.normalize, run.warnings
     grid, trajectory = run.grid, run.trajectory
     named = replace(trajectory, name=run.name)
     measured = MeasuredPath(trajectory=named, measures=measures or Measures())

@@ -127,14 +127,14 @@ def online(run: ProducerRun) -> Trajectory:
 
 def cost(run: ProducerRun) -> Row:
     """Return the times of a scan, and the memory of the map."""
-    times = run.time_per_scan_ms()
+    times = run.time_per_scan_ms
     return {
-        "ms": times["mean"],
-        "p95 ms": times["p95"],
-        "p99.9 ms": times["p999"],
-        "longest ms": times["max"],
-        "map MB": run.peak_memory_bytes / 1e6,
-        "low in a row": run.low_in_a_row,
+        "ms": times.mean,
+        "p95 ms": times.p95,
+        "p99.9 ms": times.p999,
+        "longest ms": times.max,
+        "map MB": run.peak_memory_mb,
+        "low in a row": run.low_scores_in_a_row,
     }
 
 
@@ -309,7 +309,7 @@ def logs(bench: Bench) -> Iterator[Row]:
             run = own.run(name, log, seed, log=log)
             if bench.maps is not None and seed == bench.seeds[0]:
                 write_report(bench.maps / name, run, corrected, bench.config)
-            for sentence in (*run.health.skips.sentences("scan"), *run.warnings()):
+            for sentence in (*run.health.skips.sentences("scan"), *run.warnings):
                 print(f"{name}: {sentence}")
             used = [item for item in loops(run.closures) if item.weight >= USED_FROM]
             off = closure_errors(used, corrected) > (OFF_M, OFF_RAD)

@@ -27,7 +27,7 @@ from tests.docs.test_pages import parse
 
 pytestmark = pytest.mark.once
 
-HERE = plain(Circumstances(RunConfig(), "a device"))
+HERE = plain(Circumstances("a device", RunConfig()))
 MADE = ("--commit", "0123abc", "--date", "2026-02-28")
 
 

@@ -33,7 +33,7 @@ def test_maps_in_memory_and_in_files_are_aligned_alike(tmp_path: Path) -> None:
     assert (from_files.reference, from_files.moving) == ("truth", "moving")
     assert from_files.transform == in_memory.transform
     check_document(
-        plain(AlignDocument(from_files, Circumstances(CONFIG, device().name), grid.resolution)),
+        plain(AlignDocument(from_files, Circumstances(device().name, CONFIG), grid.resolution)),
         "align",
     )
     with pytest.raises(MapFileError, match="absent"):

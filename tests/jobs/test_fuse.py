@@ -63,7 +63,7 @@ def test_maps_that_do_not_fit_are_refused_with_what_was_tried(tmp_path: Path) ->
     with pytest.raises(AlignmentError) as caught:
         fuse_maps(grids, CONFIG, device())
     assert len(caught.value.pairs) == 1
-    document = FuseDocument.failed(caught.value, Circumstances(CONFIG, device().name))
+    document = FuseDocument.failed(caught.value, Circumstances(device().name, CONFIG))
     check_document(plain(document), "fuse", failed=True)
     assert document.fused is None
     first = write_failed_fusion(caught.value, CONFIG, tmp_path, device=device().name)

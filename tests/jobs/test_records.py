@@ -37,7 +37,7 @@ def aligned() -> dict[str, Any]:
         overlap=0.8, error=12.0, runner_up=RunnerUp(place, 0.3, 0.4), time_s=0.1,
         statistics={"z": 9.0},
     )  # fmt: skip
-    return plain(AlignDocument(found, Circumstances(RunConfig(), "numpy"), 0.05))
+    return plain(AlignDocument(found, Circumstances("numpy", RunConfig()), 0.05))
 
 
 @pytest.mark.once

@@ -94,7 +94,7 @@ def assert_all_that_is_doubtful_is_told(run: LogRun) -> None:
     ]
     fusion = replace(run.fusion, result=replace(run.usable, inputs=left_out))
     producers = [
-        replace(item, run=replace(item.run, low_in_a_row=8))
+        replace(item, run=replace(item.run, low_scores_in_a_row=8))
         for item in run.producers
         if isinstance(item, RunProducer)
     ]

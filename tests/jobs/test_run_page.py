@@ -86,7 +86,7 @@ def everything() -> LogRun:
     return LogRun(
         files=RunFiles(Path(NASTY)),
         saved_paths=(),
-        made_with=Circumstances(CONFIG, "numpy"),
+        made_with=Circumstances("numpy", CONFIG),
         producers=(*producers, died),
         fusion=DriveFusion(
             grids,

@@ -122,7 +122,9 @@ def relations_of_round() -> RelationErrors:
 
 def test_the_report_of_a_run_has_all_parts(tmp_path: Path) -> None:
     truth = Trajectory(in_room().stamps_s, compose_poses((5.0, 6.0, 1.0), in_room().poses), "true")
-    run = run_of(NASTY, own_map(), in_room(wrong=0.1), odometry=in_room(wrong=0.3), low_in_a_row=8)
+    run = run_of(
+        NASTY, own_map(), in_room(wrong=0.1), odometry=in_room(wrong=0.3), low_scores_in_a_row=8
+    )
     errors = trajectory_errors(run.trajectory, truth, CONFIG.trajectory)
     page = write_slam_report(
         tmp_path,

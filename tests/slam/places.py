@@ -17,6 +17,7 @@ from slamfusion.config import GraphConfig
 from slamfusion.geometry import Pose2, wrap_angle
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io.log import LogScan
+from slamfusion.json_values import plain
 from slamfusion.pose_graph.least_squares import at_once
 from slamfusion.scan import LaserScan
 from slamfusion.slam.common.mapper import Mapper
@@ -92,7 +93,7 @@ def near(cells: U8, reach: int) -> U8:
 def everything(slam: Mapper) -> list[Any]:
     """Return what a SLAM shows to the outside, to the bit; of its clock nothing."""
     grid, path = slam.grid(), slam.trajectory()
-    health: Any = slam.health.to_json()
+    health: Any = plain(slam.health)
     health.get("graph", {}).pop("solve_s", None)
     return [
         (grid.cells.tobytes(), grid.cells.shape, grid.origin, grid.resolution),

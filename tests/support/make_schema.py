@@ -28,6 +28,7 @@ import typing_extensions
 from pydantic import Field, TypeAdapter
 from pydantic.json_schema import GenerateJsonSchema
 
+from slamfusion.config import RunConfig
 from slamfusion.evaluation.relations import RelationErrors
 from slamfusion.evaluation.trajectory_error import TrajectoryErrors
 from slamfusion.experiments.page import ExperimentDocument
@@ -49,7 +50,9 @@ from slamfusion.jobs import compare as comparisons
 from slamfusion.jobs.info import InfoDocument
 from slamfusion.jobs.records import FailureDocument
 from slamfusion.json_values import POSE_KEYS, printed_names
-from slamfusion.slam.records import HealthJson
+from slamfusion.slam.common.mapper import Health
+from slamfusion.slam.gmapping import FilterHealth
+from slamfusion.slam.graph import GraphHealth
 
 PATH = Path(__file__).resolve().parents[2] / "slamfusion" / "jobs" / "schema.json"
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
@@ -86,8 +89,14 @@ DOCUMENTS: dict[str, tuple[type, ...]] = {
 }
 # Written to files alone.
 WRITTEN = (run_files.RunRecord,)
-# A producer of another package may say more of itself.
-OPEN = (HealthJson,)
+# A producer of another package may say more of itself. The keys that our own ones add:
+OPEN = (Health,)
+ADDED: dict[type, tuple[tuple[type, str, str], ...]] = {
+    Health: (
+        (FilterHealth, "Filter", "Of a producer with a particle filter."),
+        (GraphHealth, "Graph", "Of a producer with a pose graph."),
+    )
+}
 _FORMS: tuple[Any, ...] = (Annotated, typing_extensions.NotRequired, typing_extensions.TypedDict)
 # Of these keys a measured path has all or none.
 TOGETHER = (
@@ -196,7 +205,19 @@ def _described(kind: type) -> Any:
             raise ValueError(f"{kind.__name__}.{key} has no text below it")
         field = annotated[_copied(hint), Field(description=text)]
         keys[key] = field if key in required else not_required[field]
-    copy = typed_dict(_name(kind), keys)
+    for own, name, text in ADDED.get(kind, ()):
+        added = {
+            key: annotated[_copied(hint), Field(description=words)]
+            for key, (hint, words) in _keys(own).items()
+            if key not in keys
+        }
+        record = _closed(typed_dict(name, added), own)
+        keys[name.lower()] = not_required[annotated[record, Field(description=text)]]
+    return _closed(typed_dict(_name(kind), keys), kind)
+
+
+def _closed(copy: Any, kind: type) -> Any:
+    """Return a copy of a record with its text, that admits no other keys than it has."""
     copy.__doc__ = (inspect.getdoc(kind) or "").replace("``", "`")
     copy.__pydantic_config__ = {"extra": "allow" if kind in OPEN else "forbid"}
     return copy
@@ -228,7 +249,7 @@ def _hints(kind: Any) -> dict[str, Any]:
 
 def _copied(hint: Any) -> Any:
     """Return a type with every record in it replaced by its described copy."""
-    hint = str if hint is Path else _keys_of(hint)
+    hint = {Path: str, RunConfig: Mapping[str, Any]}.get(hint) or _keys_of(hint)
     if typing.is_typeddict(hint) or is_dataclass(hint):
         return _described(hint)
     origin, arguments = typing.get_origin(hint), typing.get_args(hint)

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields
-from typing import Any, Protocol, cast, runtime_checkable
+from dataclasses import dataclass, field
+from typing import Any, Protocol, runtime_checkable
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.geometry import F64, Pose2
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io.log import Skips
+from slamfusion.json_values import printed_as
 from slamfusion.scan import LaserScan
-from slamfusion.slam.records import HealthJson
 from slamfusion.trajectory import Trajectory
 
 
@@ -33,32 +33,26 @@ class Step:
 
 @dataclass
 class Health:
-    """How well a mapper is doing; ``HealthJson`` explains the figures."""
+    """How well a producer is doing; each kind of producer may add keys of its own."""
 
     scans: int = 0
+    """Scans fed so far."""
     scans_used: int = 0
+    """Of these, the ones that were matched or mapped."""
     match_score: float | None = None
+    """Share of the last matched scan's hits that fell on known walls, 0 to 1."""
     mean_match_score: float | None = None
+    """Mean of it over every matched scan."""
     low_scores: int = 0
+    """Matched scans whose score was below half of the mean so far."""
     n_eff: float | None = None
-    skips: Skips = field(default_factory=Skips)
+    """Effective number of particles; null where there are none."""
+    skips: Skips = field(default_factory=Skips, metadata=printed_as("skipped"))
+    """Scans that were not used, by reason."""
 
     def warnings(self) -> tuple[str, ...]:
         """Return what contradicts the map, a sentence each."""
         return ()
-
-    def to_json(self) -> HealthJson:
-        """Return the record for a JSON document."""
-        figures = {item.name: getattr(self, item.name) for item in fields(Health)}
-        skipped = figures.pop("skips").to_json()
-        return cast("HealthJson", {**figures, "skipped": skipped})
-
-    def own_figures(self) -> dict[str, Any]:
-        """Return the figures that this kind of producer adds to ``Health``, by name."""
-        common = {item.name for item in fields(Health)}
-        return {
-            item.name: getattr(self, item.name) for item in fields(self) if item.name not in common
-        }
 
 
 @dataclass(frozen=True, eq=False)

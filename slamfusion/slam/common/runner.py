@@ -7,7 +7,7 @@ import math
 import resource
 import sys
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol, runtime_checkable
@@ -20,7 +20,6 @@ from slamfusion.grid import OccupancyGrid
 from slamfusion.io.log import LogRecord, LogScan, ScanLog
 from slamfusion.slam.common.mapper import ClosesLoops, Closure, Health, Mapper, Series
 from slamfusion.slam.common.odometry_check import contradictions
-from slamfusion.slam.records import ProducerRunJson, TimePerScanJson
 from slamfusion.trajectory import Trajectory
 
 
@@ -49,67 +48,108 @@ LOW_SHARE = 0.5
 MANY_SKIPPED_SHARE = 0.2
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
+class MapSize:
+    """Size of a map."""
+
+    width: int
+    """Columns."""
+    height: int
+    """Rows."""
+    resolution: float
+    """Metres per cell."""
+
+
+@dataclass(frozen=True)
+class TimePerScan:
+    """Time that a producer took for a scan, nothing else in it; milliseconds."""
+
+    mean: float
+    """Mean, milliseconds."""
+    p50: float
+    """Median, milliseconds."""
+    p95: float
+    """95th percentile, milliseconds."""
+    p99: float
+    """99th percentile, milliseconds."""
+    p999: float
+    """99.9th percentile, milliseconds."""
+    max: float
+    """The longest, milliseconds."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
 class ProducerRun:
-    """The results of one producer on a log, and their cost.
+    """What one producer made of a log, and what it took.
 
     Attributes:
         trajectory: its pose at each scan, in the frame of the map.
         odometry: raw odometry of the scans that have some; None if none has.
-        log: the log's record; None if the scans are from no log.
-        time_s: from the first scan requested to the finished map, reading included.
         feed_s: (N,) float64, seconds that the producer itself took for each scan.
-        low_in_a_row: most consecutive matches whose score was below half of the mean.
-        peak_memory_bytes: of map and filter together, host and device.
-        process_peak_memory_bytes: of the whole process so far, as the system counts it.
-        is_complete: whether the scans ended before the limit.
-        known_scans: scans skipped because a resumed producer had received them; ``scans`` counts
-            those of all runs.
         other_paths: alternative paths, best first.
         match_scores: (N,) float64, share of each fed scan's hits on known walls; NaN if it was not
             matched.
     """
 
     name: str
-    trajectory: Trajectory
-    odometry: Trajectory | None
-    grid: OccupancyGrid
-    health: Health
-    log: LogRecord | None
+    """The producer."""
+    scans: int = field(init=False)
+    """Scans that were ever fed to it, before it was resumed too."""
+    scans_used: int = field(init=False)
+    """Of these, the ones that were matched or mapped."""
     time_s: float
-    feed_s: F64
-    low_in_a_row: int
-    peak_memory_bytes: int
-    process_peak_memory_bytes: int
-    is_complete: bool = True
-    known_scans: int = 0
-    series: tuple[Series, ...] = ()
-    other_paths: tuple[Trajectory, ...] = ()
-    closures: tuple[Closure, ...] = ()
-    match_scores: F64 = field(default_factory=lambda: np.empty(0))
+    """From the first scan asked for to the finished map, reading included; seconds."""
+    time_per_scan_ms: TimePerScan = field(init=False)
+    """Time for each scan that was fed in this run, milliseconds."""
+    peak_memory_mb: float
+    """Peak of map and filter together, host and device; MB of 10^6 bytes."""
+    process_peak_memory_mb: float
+    """Peak of the whole process, as the system counts it; MB of 10^6 bytes."""
+    duration_s: float = field(init=False)
+    """Time from the first pose to the last, seconds."""
+    path_length_m: float = field(init=False)
+    """Length of the path, metres."""
+    odometry_path_length_m: float | None = field(init=False)
+    """Length of the path by raw odometry, metres; null without odometry."""
+    map: MapSize = field(init=False)
+    """Size of its map."""
+    health: Health
+    """How well it did."""
+    low_scores_in_a_row: int
+    """Most matches one after the other whose score was below half of the mean."""
+    warnings: Sequence[str] = field(init=False)
+    """What contradicts the map, a sentence each."""
+    complete: bool
+    """Whether the scans came to their end; false: it was stopped before."""
+    known_scans: int
+    """Scans of the log that a resumed producer had been fed before and that were passed over."""
+    log: LogRecord | None
+    """What the log said of itself; null where the scans are from no log."""
+    trajectory: Trajectory = field(repr=False)
+    odometry: Trajectory | None = field(repr=False)
+    grid: OccupancyGrid = field(repr=False)
+    feed_s: F64 = field(repr=False)
+    series: tuple[Series, ...] = field(repr=False)
+    other_paths: tuple[Trajectory, ...] = field(repr=False)
+    closures: tuple[Closure, ...] = field(repr=False)
+    match_scores: F64 = field(repr=False)
 
-    @property
-    def scans(self) -> int:
-        """Scans that were ever fed."""
-        return self.health.scans
-
-    @property
-    def scans_used(self) -> int:
-        """Of these, the ones that were matched or mapped."""
-        return self.health.scans_used
-
-    def time_per_scan_ms(self) -> TimePerScanJson:
-        """Return mean, median (p50), p95, p99, p99.9 (as ``p999``) and longest time for a scan."""
-        feed_ms = 1e3 * self.feed_s
+    def __post_init__(self) -> None:
+        """Work out what follows from the rest."""
+        feed_ms, stamps_s, wheels = 1e3 * self.feed_s, self.trajectory.stamps_s, self.odometry
         p50, p95, p99, p999 = np.percentile(feed_ms, TIME_PERCENTILES).tolist()
-        return {
-            "mean": float(feed_ms.mean()),
-            "p50": p50,
-            "p95": p95,
-            "p99": p99,
-            "p999": p999,
-            "max": float(feed_ms.max()),
-        }
+        vars(self).update(
+            scans=self.health.scans,
+            scans_used=self.health.scans_used,
+            time_per_scan_ms=TimePerScan(
+                float(feed_ms.mean()), p50, p95, p99, p999, float(feed_ms.max())
+            ),
+            duration_s=float(stamps_s[-1] - stamps_s[0]),
+            path_length_m=self.trajectory.path_length_m(),
+            odometry_path_length_m=None if wheels is None else wheels.path_length_m(),
+            map=MapSize(self.grid.width, self.grid.height, self.grid.resolution),
+            warnings=self._contradictions(),
+        )
 
     def online_path(self) -> Trajectory | None:
         """Return the poses as they were first reported; None if the producer keeps none."""
@@ -118,17 +158,16 @@ class ProducerRun:
                 return path
         return None
 
-    def warnings(self) -> tuple[str, ...]:
-        """Return what contradicts the map, a sentence each."""
+    def _contradictions(self) -> tuple[str, ...]:
         sentences = []
         health = self.health
         is_often_low = health.low_scores > MANY_LOW_SHARE * health.scans_used
-        if is_often_low or self.low_in_a_row >= MANY_LOW_IN_A_ROW:
+        if is_often_low or self.low_scores_in_a_row >= MANY_LOW_IN_A_ROW:
             share = 100.0 * health.low_scores / health.scans_used
             sentences.append(
                 f"tracking may be lost: {health.low_scores} of {health.scans_used} scans "
-                f"({share:.1f} %), up to {self.low_in_a_row} in a row, match the map less than "
-                "half as well as usual; look at the map"
+                f"({share:.1f} %), up to {self.low_scores_in_a_row} in a row, match the map less "
+                "than half as well as usual; look at the map"
             )
         skipped = health.skips.total  # a producer may pass over scans that it does not need
         if skipped > MANY_SKIPPED_SHARE * health.scans:
@@ -139,35 +178,6 @@ class ProducerRun:
         if self.odometry is not None:
             sentences += contradictions(self.odometry, self.trajectory)
         return (*sentences, *health.warnings())
-
-    def to_json(self) -> ProducerRunJson:
-        """Return the record for a JSON document; times in s and ms, memory in MB of 10^6 bytes."""
-        stamps_s = self.trajectory.stamps_s
-        return {
-            "name": self.name,
-            "scans": self.scans,
-            "scans_used": self.scans_used,
-            "time_s": self.time_s,
-            "time_per_scan_ms": self.time_per_scan_ms(),
-            "peak_memory_mb": self.peak_memory_bytes / BYTES_PER_MB,
-            "process_peak_memory_mb": self.process_peak_memory_bytes / BYTES_PER_MB,
-            "duration_s": float(stamps_s[-1] - stamps_s[0]),
-            "path_length_m": self.trajectory.path_length_m(),
-            "odometry_path_length_m": None
-            if self.odometry is None
-            else self.odometry.path_length_m(),
-            "map": {
-                "width": self.grid.width,
-                "height": self.grid.height,
-                "resolution": self.grid.resolution,
-            },
-            "health": self.health.to_json(),
-            "low_scores_in_a_row": self.low_in_a_row,
-            "warnings": list(self.warnings()),
-            "complete": self.is_complete,
-            "known_scans": self.known_scans,
-            "log": self.log,
-        }
 
 
 def run_producer(
@@ -232,10 +242,10 @@ def run_producer(
         log=record,
         time_s=time_s,
         feed_s=np.array(feed_s),
-        low_in_a_row=longest_row,
-        peak_memory_bytes=max(memory, mapper.memory_bytes()),
-        process_peak_memory_bytes=_process_peak_bytes(),
-        is_complete=is_complete,
+        low_scores_in_a_row=longest_row,
+        peak_memory_mb=max(memory, mapper.memory_bytes()) / BYTES_PER_MB,
+        process_peak_memory_mb=_process_peak_bytes() / BYTES_PER_MB,
+        complete=is_complete,
         known_scans=known_scans,
         series=mapper.series(),
         other_paths=mapper.other_paths(),

@@ -41,26 +41,31 @@ from slamfusion.slam.gmapping.particles import (
     resample_systematic,
 )
 from slamfusion.slam.gmapping.pose_sampler import PoseSampler, make_motion_model
-from slamfusion.slam.records import FilterJson, HealthJson
 from slamfusion.trajectory import Trajectory
 
 
 @dataclass
 class FilterHealth(Health):
-    """How well the particle filter is doing; ``FilterJson`` explains the figures."""
+    """How well a particle filter is doing."""
+
+    UNDER = "filter"
 
     best_score: float | None = None
+    """Of the best particle at the last filter step: sum over its hits, each 0 to 1."""
     filter_steps: int = 0
+    """Times that the particles were weighed and mapped."""
     resamplings: int = 0
+    """Times that the particles were resampled."""
     resamplings_for_memory: int = 0
+    """Of these, the ones that the memory budget asked for."""
     rejected: int = 0
+    """Matches of single particles below minimumScore."""
     path_entropy: float | None = None
+    """Mean over the path of the entropy of the particles' pose, nats."""
     tiles_owned: int = 0
+    """Tiles of the maps that one particle uses alone."""
     tiles_shared: int = 0
-
-    def to_json(self) -> HealthJson:
-        """Return the record for a JSON document."""
-        return {**super().to_json(), "filter": cast("FilterJson", self.own_figures())}
+    """Tiles that several particles use."""
 
 
 NAME = "gmapping"

@@ -27,12 +27,12 @@ from slamfusion.geometry import (
     wrapped_row_of,
 )
 from slamfusion.grid import IDENTITY
+from slamfusion.json_values import printed_as
 from slamfusion.pose_graph import Optimized, PoseGraph, Steps, optimize_in_steps, take_steps
 from slamfusion.pose_graph.uncertainty import turned
 from slamfusion.slam.common.mapper import Health, Series
 from slamfusion.slam.common.state import Rows, Stateful
 from slamfusion.slam.graph.node_map import Node
-from slamfusion.slam.records import GraphJson, HealthJson
 from slamfusion.trajectory import Trajectory
 
 
@@ -163,41 +163,44 @@ SCAN_WORK, STEP_WORK = 28_000, 400
 CONSTRAINT_BYTES = 112
 
 
-# JSON names of figures that are named differently here.
-PUBLISHED = {
-    "kidnappings": "restarts",
-    "tracking_failures": "breaks",
-    "relocalizations": "refound",
-    "map_components": "parts",
-    "closure_outliers": "closures_doubted",
-}
-
-
 @dataclass
 class GraphHealth(Health):
-    """How well the graph is doing; ``GraphJson`` explains the figures, some under other names."""
+    """How well a pose graph of submaps is doing."""
+
+    UNDER = "graph"
 
     nodes: int = 0
+    """Scans that became nodes."""
     submaps: int = 0
-    kidnappings: int = 0
-    tracking_failures: int = 0
-    relocalizations: int = 0
-    map_components: int = 1
+    """Submaps, each of which holds some of the nodes."""
+    kidnappings: int = field(default=0, metadata=printed_as("restarts"))
+    """Times that tracking was lost and a new submap was started."""
+    tracking_failures: int = field(default=0, metadata=printed_as("breaks"))
+    """Times that tracking failed for a while and only odometry bridges the gap."""
+    relocalizations: int = field(default=0, metadata=printed_as("refound"))
+    """Times that the robot was relocalized on submaps of before."""
+    map_components: int = field(default=1, metadata=printed_as("parts"))
+    """Parts of the map that nothing but odometry holds together; 1 for a whole map."""
     closures_tried: int = 0
+    """Searches of an older submap."""
     closures_accepted: int = 0
+    """Of these, the ones that became an edge."""
     closures_rejected: dict[str, int] = field(default_factory=dict)
-    closure_outliers: int = 0
+    """Of these, the others, by reason."""
+    closure_outliers: int = field(default=0, metadata=printed_as("closures_doubted"))
+    """Edges that the last solution left less than half of their weight."""
     largest_correction_m: float = 0.0
+    """How far a closure has moved the robot at most, metres."""
     pauses: int = 0
+    """Times that no scan came for long."""
     longest_pause_s: float = 0.0
+    """The longest of them, seconds."""
     chi2: float | None = None
+    """Chi-square of the graph after the last solution; null before the first."""
     solutions: int = 0
+    """How often the graph was solved."""
     solve_s: float | None = None
-
-    def to_json(self) -> HealthJson:
-        """Return the record for a JSON document."""
-        own = {PUBLISHED.get(name, name): value for name, value in self.own_figures().items()}
-        return {**super().to_json(), "graph": cast("GraphJson", own)}
+    """Duration of the last solution, seconds; null before the first."""
 
     def warnings(self) -> tuple[str, ...]:
         """Return what contradicts the map, a sentence each."""

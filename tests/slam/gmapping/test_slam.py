@@ -18,6 +18,7 @@ from slamfusion.config import GmappingConfig
 from slamfusion.errors import SlamFusionError
 from slamfusion.geometry import Pose2
 from slamfusion.io.log import LogScan
+from slamfusion.json_values import plain
 from slamfusion.scan import LaserScan
 from slamfusion.slam.common.tile_map import SharedTileMaps
 from slamfusion.slam.gmapping import particles
@@ -177,7 +178,7 @@ def test_a_match_below_the_least_score_is_not_believed(device: ComputeDevice):
     steps = slam.health.filter_steps
     assert steps >= 5
     assert slam.health.rejected == 6 * steps
-    assert slam.health.to_json()["filter"]["rejected"] == 6 * steps
+    assert plain(slam.health)["filter"]["rejected"] == 6 * steps
     believed = run(device, scans, minimumScore=0.0)
     assert believed.health.rejected == 0
 
@@ -271,7 +272,7 @@ def test_what_it_offers_beside_the_best_path(device: ComputeDevice):
     assert len(series.values) == slam.health.filter_steps
     assert ((series.values > 1.0 - 1e-9) & (series.values < 6.0 + 1e-9)).all()
     assert series.values[-1] == slam.health.n_eff
-    record = slam.health.to_json()["filter"]
+    record = plain(slam.health)["filter"]
     assert record["resamplings"] > 0
     assert record["tiles_owned"] + record["tiles_shared"] == (slam._maps.tiles._users > 0).sum()
     assert slam.health.path_entropy == slam._paths.entropy()
