@@ -14,22 +14,17 @@ from slamfusion.config import GraphConfig
 from slamfusion.geometry import F64, Pose2, wrapped_row_of
 from slamfusion.grid import IDENTITY
 from slamfusion.pose_graph.uncertainty import turned
-from slamfusion.slam.common.matcher import Match, ScanOnTiles, information_of, response_information
+from slamfusion.slam.common.matcher import ScanOnTiles, information_of, response_information
 from slamfusion.slam.common.state import Stateful
 from slamfusion.slam.graph.map_graph import INFORMATION_SHARE, Constraint, GraphHealth
 from slamfusion.slam.graph.node_map import Node
-from slamfusion.slam.graph.submap import UNSEEN_WALL, Submap, fill_walls, seen_score
+from slamfusion.slam.graph.submap import Submap, fill_walls
 
 # Distance between hits that are filled in on a wall, cells: a submap's walls have no gaps.
 WALL_CELLS = 1.0
-# A scan with this share of its hits where the local map has seen nothing is not bad.
-MOST_UNSEEN = 0.8
 # Scans, as far apart as nodes, that are written into a new submap where the robot leaves a known
 # place.
 RECENT_SCANS = 6
-# A match below this share of the usual score is bad. Right after a reset of the odometry the second
-# share applies: the robot may have been switched off and moved.
-BAD_SHARE, RESET_SHARE = 0.6, 0.8
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,26 +50,16 @@ class LocalMap(Stateful):
         active: index of the active submap.
         node, node_pose: number of the node that the robot's pose is kept relative to, and its pose
             in the active submap's frame.
-        seen_from: pose in it at the last node or known scan.
         recent: the last scans in a known place.
     """
 
-    STATE = (
-        "components",
-        "finished",
-        "active",
-        "node",
-        "node_pose",
-        "seen_from",
-        "recent",
-        "_next_pose",
-    )
+    STATE = ("components", "finished", "active", "node", "node_pose", "recent", "_next_pose")
 
     def __init__(self, config: GraphConfig, device: ComputeDevice, health: GraphHealth) -> None:
         self.submaps: list[Submap] = []
         self.components: list[int] = []
         self.finished = self.active = self.node = 0
-        self.node_pose = self.seen_from = IDENTITY
+        self.node_pose = IDENTITY
         self._config = config
         self._device = device
         self._health = health
@@ -96,6 +81,11 @@ class LocalMap(Stateful):
     def active_component(self) -> int:
         """Number of the map component that the robot is in."""
         return self.components[self.active]
+
+    @property
+    def seen_from(self) -> Pose2:
+        """Pose in the active submap at the last node or known scan."""
+        return self.recent[-1].local if self.recent else self.node_pose
 
     @property
     def is_known(self) -> bool:
@@ -137,21 +127,6 @@ class LocalMap(Stateful):
         outside = np.maximum(low - places, places - high).clip(min=0.0)
         return np.asarray(np.hypot(outside[:, 0], outside[:, 1]))
 
-    def fit(self, points: F64, match: Match, mean_score: float | None) -> float:
-        """Return a match's score relative to the mean, where the active submap is known.
-
-        1 if there is no mean yet, or the score is not much lower or covers little. Hits (P, 2) are
-        in the robot's frame, metres.
-        """
-        if mean_score is None:
-            return 1.0
-        if match.score >= RESET_SHARE * mean_score:
-            return 1.0
-        unseen = self._scan(points).unseen_share(match.pose, UNSEEN_WALL)
-        if unseen >= MOST_UNSEEN:
-            return 1.0
-        return seen_score(match.score, unseen) / mean_score
-
     # -- how it grows --------------------------------------------------------------------------
 
     def begin(self, number: int, node: Node, component: int) -> None:
@@ -159,8 +134,7 @@ class LocalMap(Stateful):
         self._finish()
         self.active = self.finished
         self._append(number, component).insert(*self._walls_of(node), IDENTITY)
-        self._set_node(number, IDENTITY)
-        self.recent = []
+        self.node, self.node_pose, self.recent = number, IDENTITY, []
 
     def follow(self, index: int, change: Pose2) -> None:
         """Follow the robot in a finished submap, and finish the others.
@@ -169,7 +143,6 @@ class LocalMap(Stateful):
         again is dropped: it overlaps the one before it.
         """
         self.recent = [replace(one, local=change.compose(one.local)) for one in self.recent]
-        self.seen_from = change.compose(self.seen_from)
         if (
             not self.is_known
             and self.submaps[-1].scans < self._config.loop_match_minimum_chain_size
@@ -182,7 +155,6 @@ class LocalMap(Stateful):
     def remember(self, scan: KnownScan) -> None:
         """Keep a scan in a known place, one of the last few, for when the robot leaves it."""
         self.recent = [*self.recent[1 - RECENT_SCANS :], scan]
-        self.seen_from = scan.local
 
     def leave(self, number: int) -> None:
         """Start a submap at the last scan in a known place, which is a node now."""
@@ -202,7 +174,9 @@ class LocalMap(Stateful):
         active = self.active_submap
         row = wrapped_row_of(local)
         if hessian is None:
-            information = response_information(self._scan(points), row)
+            beams = self._config.matcher.beams
+            scan = ScanOnTiles(self._device, active.walls(), points, beams)
+            information = response_information(scan, row)
         else:
             information = information_of(hessian)
         information = INFORMATION_SHARE * information
@@ -228,7 +202,7 @@ class LocalMap(Stateful):
         elif active.scans >= self._config.scan_buffer_size // 2:
             self._next_pose = local
             self._append(number, self.active_component).insert(*walls, IDENTITY)
-        self._set_node(number, local)
+        self.node, self.node_pose = number, local
         return local
 
     def join(self, other: int, node_count: int) -> tuple[npt.NDArray[np.bool_], bool]:
@@ -263,9 +237,6 @@ class LocalMap(Stateful):
             submap.finish()
         self.finished = len(self.submaps)
 
-    def _set_node(self, number: int, pose: Pose2) -> None:
-        self.node, self.node_pose, self.seen_from = number, pose, pose
-
     def _append(self, anchor: int, component: int) -> Submap:
         config = self._config
         sigma_m = config.correlation_search_space_smear_deviation
@@ -275,10 +246,6 @@ class LocalMap(Stateful):
         self._health.submaps = len(self.submaps)
         self._health.map_components = self.component_count
         return submap
-
-    def _scan(self, points: F64) -> ScanOnTiles:
-        walls = self.active_submap.walls()
-        return ScanOnTiles(self._device, walls, points, self._config.matcher.beams)
 
     def _walls_of(self, node: Node) -> tuple[F64, F64]:
         """Return a node's walls and laser as a submap takes them."""

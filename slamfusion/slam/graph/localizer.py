@@ -12,15 +12,20 @@ from slamfusion.config import GraphConfig
 from slamfusion.geometry import F64, Pose2, pose_of
 from slamfusion.grid import IDENTITY
 from slamfusion.scan import LaserScan
-from slamfusion.slam.common.matcher import PoseHypothesis
+from slamfusion.slam.common.matcher import PoseHypothesis, ScanOnTiles
 from slamfusion.slam.common.tracking import Tracker
 from slamfusion.slam.graph.closure_search import ClosureSearch
-from slamfusion.slam.graph.local_map import BAD_SHARE, RESET_SHARE, LocalMap
+from slamfusion.slam.graph.local_map import LocalMap
 from slamfusion.slam.graph.map_graph import GraphHealth
 from slamfusion.slam.graph.node_map import Node
+from slamfusion.slam.graph.submap import UNSEEN_WALL, seen_score
 
 TrackingStatus = Literal["tracked", "unsure", "failed", "kidnapped"]
 
+# A match below this share of the usual score is bad, unless the local map has seen nothing at the
+# third share of its hits. Right after a reset of the odometry the second share applies: the robot
+# may have been switched off and moved.
+BAD_SHARE, RESET_SHARE, MOST_UNSEEN = 0.6, 0.8, 0.8
 # Consecutive scans without a certain place after which the robot is kidnapped. One or two bad scans
 # are a door or a crowd.
 LOST_SCANS = 4
@@ -79,10 +84,15 @@ class Localizer(Tracker):
 
     def localize(self, seen: Observation, hypotheses: list[PoseHypothesis]) -> Estimate:
         """Return where a scan lies; if it fits badly, search far around."""
-        local_map, mean_score = self._local_map, self.running_mean_score
-        submap = local_map.active_submap
+        submap, mean_score = self._local_map.active_submap, self.running_mean_score
         match = self.match(submap.walls(), seen.points, hypotheses)
-        fit = local_map.fit(seen.points, match, mean_score)
+        # The score relative to the mean, where the submap is known; 1 if it is not much lower.
+        fit = 1.0
+        if mean_score is not None and match.score < RESET_SHARE * mean_score:
+            scan = ScanOnTiles(self.device, submap.walls(), seen.points, self.config.beams)
+            unseen = scan.unseen_share(match.pose, UNSEEN_WALL)
+            if unseen < MOST_UNSEEN:
+                fit = seen_score(match.score, unseen) / mean_score
         at, hessian, is_sure = match.pose, match.hessian, True
         if fit < BAD_SHARE and mean_score is not None:
             hessian = None

@@ -112,14 +112,6 @@ class RelocalizationHypothesis:
     misses: int = 0
     tested: int = -1
 
-    @property
-    def is_confirmed(self) -> bool:
-        """Whether enough scans have fitted over a long enough distance."""
-        nodes = {hit.constraint.end for hit in self.hits}
-        travelled = [hit.travelled_m for hit in self.hits]
-        driven_m = max(travelled) - min(travelled)
-        return len(nodes) >= CONFIRMED_NODES and driven_m >= CONFIRMED_M
-
 
 @dataclass(frozen=True)
 class LoopCandidate:
@@ -198,7 +190,12 @@ class Relocalization(Stateful):
         best = max(self.hypotheses, key=lambda one: len(one.hits))
         enough = max(RIVAL_HITS, RIVAL_SHARE * len(best.hits))
         has_rival = any(len(one.hits) >= enough for one in self.hypotheses if one is not best)
-        return best if best.is_confirmed and not has_rival else None
+        nodes = {hit.constraint.end for hit in best.hits}
+        travelled = [hit.travelled_m for hit in best.hits]
+        is_confirmed = (
+            len(nodes) >= CONFIRMED_NODES and max(travelled) - min(travelled) >= CONFIRMED_M
+        )
+        return best if is_confirmed and not has_rival else None
 
     def candidates(self, graph: MapGraph, local_map: LocalMap, pose: Pose2) -> list[LoopCandidate]:
         """Return the submaps to search at a node, given the odometry's pose in the map frame."""

@@ -30,7 +30,7 @@ from slamfusion.grid import IDENTITY
 from slamfusion.json_values import printed_as
 from slamfusion.pose_graph import Optimized, PoseGraph, Steps, optimize_in_steps, take_steps
 from slamfusion.pose_graph.uncertainty import turned
-from slamfusion.slam.common.mapper import Health, Series
+from slamfusion.slam.common.mapper import Health
 from slamfusion.slam.common.state import Rows, Stateful
 from slamfusion.slam.graph.node_map import Node
 from slamfusion.trajectory import Trajectory
@@ -108,13 +108,6 @@ class DrivenPath(Stateful):
     def set_node(self, row: int, number: int) -> None:
         """Make a scan the one of a node."""
         self._scans.table[row, 1:] = number, 0.0, 0.0, 0.0
-
-    def series(self) -> tuple[Series, ...]:
-        """Return the series to be plotted."""
-        if not len(self.responses):
-            return ()
-        stamps, values = self.responses.array().T
-        return (Series("response", "", stamps, values),)
 
     def trajectory(self, poses: F64, name: str) -> Trajectory:
         """Return the path by the nodes' poses (N, 3) in the map frame."""
@@ -430,11 +423,15 @@ class MapGraph(Stateful):
             self._take_over(solution, solved)
 
     def _take_over(self, solution: Solution, solved: Optimized) -> None:
-        """Replace the poses by a solution's; later nodes move with its last one."""
-        last = len(solved.poses) - 1
-        since = compose_poses(invert_poses(self.poses[last]), self.poses[last + 1 :])
-        since = compose_poses(solved.poses[last], since)
-        self.poses = np.concatenate((solved.poses, since))
+        """Replace the poses by a solution's; a later node moves with that it was placed by."""
+        before, count = self.poses, len(solved.poses)
+        self.poses = np.concatenate((solved.poses, before[count:]))
+        later = reversed(self.constraints[solution.constraints :])
+        anchors = {one.end: one.start for one in later}  # of a node's constraints the first
+        for number in range(count, len(before)):
+            anchor = anchors[number]
+            since = compose_poses(invert_poses(before[anchor]), before[number])
+            self.poses[number] = compose_poses(self.poses[anchor], since)
         self._weights = solved.weights
         outliers = int(solved.is_outlier.sum())
         more = max(0, outliers - self._outliers)

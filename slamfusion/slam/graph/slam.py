@@ -111,11 +111,8 @@ class GraphSlam(SavedMapper):
         # In a known place: does the submap show what the scan sees?
         expected = pose_of(hypotheses[0].pose)
         if self._local_map.is_known and self._is_far(expected) and not self._localizer.has_jumped:
-            mean_score = self._localizer.running_mean_score or 0.0
-            if not self._loops.is_shown(seen.points, expected) and not self._follow_known(
-                seen.points, expected, mean_score
-            ):
-                self._leave_known()
+            if not self._loops.is_shown(seen.points, expected):
+                self._change_place(seen.points, expected)
             hypotheses = self._localizer.hypotheses(seen.scan.stamp_s, seen.odometry)
 
         # Find the scan on the local map. Is the robot still there?
@@ -138,15 +135,13 @@ class GraphSlam(SavedMapper):
         if found.status == "unsure" or not self._is_far(local):
             return self._report(seen, local, found.score)
         mean_score = self._localizer.running_mean_score or 0.0
-        if self._local_map.is_known or self._follow_known(seen.points, local, mean_score):
+        if self._local_map.is_known or self._follow_known(seen.points, local):
             local = cast("Pose2", self._localizer.pose)
             node = seen.node(self._graph.travelled_m)
             self._local_map.remember(KnownScan(node, local, len(self._path)))
             step = self._report(seen, local, found.score)
-            if found.score < CHANGED_SHARE * mean_score and not self._follow_known(
-                seen.points, local, mean_score
-            ):
-                self._leave_known()
+            if found.score < CHANGED_SHARE * mean_score:
+                self._change_place(seen.points, local)
             return step
 
         # Add the node to the graph, with constraints to the submaps and by odometry.
@@ -164,7 +159,7 @@ class GraphSlam(SavedMapper):
         self._localizer.pose = local
 
         if self._config.do_loop_closing:
-            self._loops.close(number, seen.points, self._localizer.running_mean_score or 0.0)
+            self._loops.close(number, seen.points, mean_score)
         return self._report(seen, local, found.score)
 
     def _is_far(self, local: Pose2) -> bool:
@@ -174,8 +169,9 @@ class GraphSlam(SavedMapper):
         way_m = math.hypot(moved.x, moved.y)
         return bool(is_turned or way_m >= self._config.minimum_travel_distance)
 
-    def _follow_known(self, points: F64, local: Pose2, mean_score: float) -> bool:
+    def _follow_known(self, points: F64, local: Pose2) -> bool:
         """Follow the robot in another finished submap, if the place is well known."""
+        mean_score = self._localizer.running_mean_score or 0.0
         place = self._loops.known_place(points, local, mean_score)
         if place is not None:
             index, change = place
@@ -183,8 +179,13 @@ class GraphSlam(SavedMapper):
             self._localizer.pose = change.compose(cast("Pose2", self._localizer.pose))
         return place is not None
 
-    def _leave_known(self) -> None:
-        """Make the last known scan a node, and start a submap there."""
+    def _change_place(self, points: F64, local: Pose2) -> None:
+        """Leave the submap for another known one, or make the last known scan a node of a new one.
+
+        Hits (P, 2) are in the robot's frame, metres; the pose is in the active submap's frame.
+        """
+        if self._follow_known(points, local):
+            return
         last, anchor = self._local_map.recent[-1], self._local_map.node
         number = self._graph.add_node(last.node, self._graph.pose(anchor).compose(last.local))
         self._graph.constraints += self._local_map.constraints(
@@ -260,7 +261,10 @@ class GraphSlam(SavedMapper):
 
     def series(self) -> tuple[Series, ...]:
         """Return the series of the path; see ``Mapper.series``."""
-        return self._path.series()
+        if not len(self._path.responses):
+            return ()
+        stamps, values = self._path.responses.array().T
+        return (Series("response", "", stamps, values),)
 
     def grid(self) -> OccupancyGrid:
         """Return the map of all nodes at their poses of today; see ``Mapper.grid``."""

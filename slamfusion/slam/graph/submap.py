@@ -116,7 +116,13 @@ class Submap:
         self.high = np.zeros(2)
         self._device = device
         self._cell = resolution
-        self._rule = likelihood_rule(sigma_m / resolution)
+        sigma = sigma_m / resolution
+        reach = min(MOST_REACH, max(1, math.ceil(REACH_SIGMAS * sigma)))
+        farthest = 2.0 * ((reach + 0.5) * BEAM_ONE) ** 2
+        shift = max(0, math.ceil(math.log2(farthest / TABLE_STEPS)))
+        squared = np.arange(TABLE_STEPS) * 2.0**shift / BEAM_ONE**2
+        table = np.rint(255.0 * np.exp(-0.5 * squared / sigma**2)).astype(np.uint8)
+        self._rule = LikelihoodRule(table, shift, reach, MEMORY)
         self._tiles = TileMap(
             device,
             {
@@ -207,13 +213,3 @@ class Submap:
 def seen_score(score: float, unseen_share: float) -> float:
     """Return the mean score, 0 to 1, of the hits on known cells; ``unseen_share`` is below 1."""
     return (score - unseen_share * UNSEEN_WALL / 255.0) / (1.0 - unseen_share)
-
-
-def likelihood_rule(deviation_cells: float) -> LikelihoodRule:
-    """Return the Gaussian likelihood rule of a deviation in cells."""
-    reach = min(MOST_REACH, max(1, math.ceil(REACH_SIGMAS * deviation_cells)))
-    farthest = 2.0 * ((reach + 0.5) * BEAM_ONE) ** 2
-    shift = max(0, math.ceil(math.log2(farthest / TABLE_STEPS)))
-    squared = np.arange(TABLE_STEPS) * 2.0**shift / BEAM_ONE**2
-    likelihood = np.exp(-0.5 * squared / deviation_cells**2)
-    return LikelihoodRule(np.rint(255.0 * likelihood).astype(np.uint8), shift, reach, MEMORY)

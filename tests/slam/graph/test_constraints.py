@@ -182,19 +182,22 @@ def begun_graph(rounds: int = 120) -> MapGraph:
     return graph
 
 
-def test_a_long_solution_is_taken_over_some_scans_later_with_the_nodes_that_came_since():
+@pytest.mark.parametrize("back", [1, 20])
+def test_a_long_solution_is_taken_over_some_scans_later_with_the_nodes_that_came_since(back: int):
+    """A later node keeps its place relative to the node that it was matched to."""
     graph = begun_graph()
     before, count = graph.poses.copy(), len(graph.poses)
     whole = solve(before, graph.constraints, np.zeros(0), 3)
-    step = Pose2(0.5, 0.1, 0.2)
-    add_node(graph, graph.pose(count - 1).compose(step))
+    step, anchor = Pose2(0.5, 0.1, 0.2), count - back
+    added = add_node(graph, graph.pose(anchor).compose(step))
+    graph.constraints.append(Constraint(anchor, added, np.array([0.5, 0.1, 0.2]), np.eye(3)))
     scans = 0
     while np.array_equal(graph.poses[:count], before):
         graph.go_on()
         scans += 1
     assert scans > 1
     np.testing.assert_array_equal(graph.poses[:count], whole.poses)
-    moved = graph.pose(count - 1).inverse().compose(graph.pose(count))
+    moved = graph.pose(anchor).inverse().compose(graph.pose(added))
     np.testing.assert_allclose((moved.x, moved.y, moved.yaw_rad), (0.5, 0.1, 0.2), atol=1e-9)
 
 
