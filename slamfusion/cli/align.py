@@ -9,16 +9,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from slamfusion.cli import options
+from slamfusion.cli import options, output
 from slamfusion.cli.help import Command
-from slamfusion.cli.output import (
-    is_verbose,
-    map_server_facts,
-    notice,
-    print_facts,
-    print_json,
-    print_table,
-)
 from slamfusion.cli.paths import MAP
 from slamfusion.config import RunConfig
 from slamfusion.errors import AlignmentError
@@ -48,6 +40,7 @@ if TYPE_CHECKING:
 @options.output(
     "--output",
     "-o",
+    "folder",
     files=lambda path, _: plan_files(path),
     needs=options.REPORT,
     metavar="DIR",
@@ -62,7 +55,7 @@ def command(
     starts: options.GivenStarts,
     resolution: float | None,
     scale: PixelSizes | None,
-    output: Path | None,
+    folder: Path | None,
     config: RunConfig,
     as_json: bool,
 ) -> None:
@@ -75,7 +68,7 @@ def command(
     from slamfusion.jobs.align import AlignDocument, align_maps  # noqa: PLC0415
     from slamfusion.jobs.records import Circumstances  # noqa: PLC0415
 
-    if scale is None and output is not None:
+    if scale is None and folder is not None:
         raise click.UsageError("-o and --scale belong together; give both or neither")
     if scale is not None and starts:
         raise click.UsageError("--scale searches everywhere; leave --start out")
@@ -84,15 +77,17 @@ def command(
         from slamfusion.jobs.plan import align_plan  # noqa: PLC0415
 
         still, moved = (
-            load_truth(path, config, resolution=resolution, scale=its, warn=notice)
+            load_truth(path, config, resolution=resolution, scale=its, warn=output.notice)
             for path, its in ((reference, None), (moving, scale))
         )
         plan = align_plan(still, moved, config, device, scale=scale)
         found, moved = plan.alignment, plan.plan
-        if output is not None and found.accepted:
-            plan.save(output, config.fusion.normalize)
+        if folder is not None and found.accepted:
+            plan.save(folder, config.fusion.normalize)
     else:
-        still, moved = load_maps((reference, moving), config, resolution=resolution, warn=notice)
+        still, moved = load_maps(
+            (reference, moving), config, resolution=resolution, warn=output.notice
+        )
         starts = _named(starts, moved.name)
         config = options.with_starts(config, starts)
         with options.start_errors(starts):
@@ -100,13 +95,13 @@ def command(
     if as_json:
         factor = None if scale is None else plan.scale
         made_by = Circumstances(device.name, config)
-        print_json(AlignDocument(found, made_by, moved.resolution, factor))
+        output.print_json(AlignDocument(found, made_by, moved.resolution, factor))
     else:
         _print_alignment(found, device.name, None if scale is None else moved.resolution)
     if not found.accepted:
         raise AlignmentError(f"{moving} does not align with {reference}: {found.reason}")
-    if output is not None and not as_json:
-        _print_files(output)
+    if folder is not None and not as_json:
+        _print_files(folder)
 
 
 def _named(starts: options.GivenStarts, moving: str) -> options.GivenStarts:
@@ -121,13 +116,13 @@ def _named(starts: options.GivenStarts, moving: str) -> options.GivenStarts:
 def _print_files(folder: Path) -> None:
     plan, placed = folder / f"{PLAN}.yaml", folder / f"{PLACED}.yaml"
     words = f"{shlex.quote(str(placed))} --truth {shlex.quote(str(plan))} --scale free"
-    print_facts(
+    output.print_facts(
         ("plan", plan),
         ("map", f"{placed}, in the frame of the plan"),
         ("world file", folder / WORLD_FILE),
         ("overlay", folder / OVERLAY),
         ("next", f"slamfusion evaluate {words}"),
-        *map_server_facts(placed),
+        *output.map_server_facts(placed),
     )
 
 
@@ -144,13 +139,13 @@ def _print_alignment(found: Alignment, device: str, pixel_m: float | None) -> No
         ["score", number(found.score)],
         ["overlap", number(found.overlap)],
     ]
-    if is_verbose():
+    if output.is_verbose():
         rows.append(["error [F16]", number(found.error, 2)])
         if found.runner_up is not None:
             rows.append(["runner-up", _where(found.runner_up.transform, found.runner_up.ratio)])
         rows += [["time", f"{number(found.time_s)} s"], ["device", device]]
     title = f"{found.moving} in the frame of {found.reference}"
-    print_table((" ", " "), rows, title=title, header=False)
+    output.print_table((" ", " "), rows, title=title, header=False)
 
 
 def _where(pose: Pose2, ratio: float) -> str:

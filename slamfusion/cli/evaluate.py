@@ -8,17 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from slamfusion.cli import options, results, tables
+from slamfusion.cli import options, output, results, tables
 from slamfusion.cli.help import Command
-from slamfusion.cli.output import (
-    NOTHING,
-    is_verbose,
-    notice,
-    print_facts,
-    print_json,
-    print_table,
-    progress_bar,
-)
 from slamfusion.cli.paths import CASE_MAP
 from slamfusion.config import RunConfig
 from slamfusion.jobs.cases import CaseFile, case_names, place_files
@@ -126,13 +117,13 @@ def command(
             raise click.UsageError(message)
     paths = [item.path for item in maps]
     if is_mutual:
-        grids = load_maps(paths, config, resolution=resolution, warn=notice)
+        grids = load_maps(paths, config, resolution=resolution, warn=output.notice)
         _compare(grids, config, as_json)
         return
-    with progress_bar() as progress:
+    with output.progress_bar() as progress:
         found = evaluate_cases(
             maps, truths, config, distances=distances_path,
-            align=align, scale=scale, resolution=resolution, progress=progress, warn=notice,
+            align=align, scale=scale, resolution=resolution, progress=progress, warn=output.notice,
         )  # fmt: skip
     given = {"maps": maps, "truths": truths}
     images = [] if image_path is None else _image_files(image_path, given)
@@ -147,7 +138,7 @@ def command(
         lambda: _inputs(paths, found.truths, distances_path),
     )
     if as_json:
-        print_json(found)
+        output.print_json(found)
         return
     if len(truths) > 1:
         results.print_items(rows, "map", ("error", "wall_f1"))
@@ -157,7 +148,9 @@ def command(
     for comparison in found.distances:
         _print_distances(comparison)
     pages = [] if report_dir is None else [own / PAGE for own in _report_folders(report_dir, given)]
-    print_facts(*(("report", page) for page in pages), *(("image", image) for image in images))
+    output.print_facts(
+        *(("report", page) for page in pages), *(("image", image) for image in images)
+    )
 
 
 def _compare(grids: Sequence[OccupancyGrid], config: RunConfig, as_json: bool) -> None:
@@ -165,7 +158,7 @@ def _compare(grids: Sequence[OccupancyGrid], config: RunConfig, as_json: bool) -
     from slamfusion.jobs.records import Settings  # noqa: PLC0415
 
     device = device_for(config)
-    with progress_bar() as progress:
+    with output.progress_bar() as progress:
         result = compare_maps(grids, config, device, progress=progress)
     tables.tell_left_out(result)
     items = agreement_items(result)
@@ -173,7 +166,7 @@ def _compare(grids: Sequence[OccupancyGrid], config: RunConfig, as_json: bool) -
         document = EvaluatedMaps(
             agreement=items, device=device.name, seed=config.seed, settings=Settings(config)
         )
-        print_json(document)
+        output.print_json(document)
         return
     rows, notes = [], []
     for record, item in zip(result.inputs, items, strict=True):
@@ -182,13 +175,13 @@ def _compare(grids: Sequence[OccupancyGrid], config: RunConfig, as_json: bool) -
             [
                 record.name,
                 number(None if share is None else 100.0 * share, 1),
-                NOTHING if share is None else "no" if bent is None else "BENT",
+                output.NOTHING if share is None else "no" if bent is None else "BENT",
                 number(None if bent is None else bent.x, 1),
                 number(None if bent is None else bent.y, 1),
             ]
         )
-        notes.append("" if record.accepted and not is_verbose() else record.reason)
-    print_table(
+        notes.append("" if record.accepted and not output.is_verbose() else record.reason)
+    output.print_table(
         ("map ", "walls that agree [%]", "bent ", "worst at x [m]", "y [m]"),
         rows,
         notes=notes,
@@ -219,7 +212,7 @@ def _print_distances(comparison: DistanceComparison) -> None:
         for row in comparison.rows
     ]
     columns = ("distance ", "measured [m]", "map [m]", "error [m]", "error [%]")
-    print_table(
+    output.print_table(
         columns,
         rows,
         notes=[row.reason for row in comparison.rows],

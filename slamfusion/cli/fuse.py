@@ -15,16 +15,8 @@ from slamfusion.cli.paths import MAP, stem_of
 from slamfusion.cli.results import table_option
 from slamfusion.config import RunConfig
 from slamfusion.errors import AlignmentError
+from slamfusion.jobs import outputs
 from slamfusion.jobs.inputs import LIKE_PAPER, GivenMaps, PixelSizes, device_for
-from slamfusion.jobs.outputs import (
-    AGREEMENT_END,
-    FAILED,
-    PAGE,
-    STORE_END,
-    group_stems,
-    map_files,
-    record_file,
-)
 
 if TYPE_CHECKING:
     from slamfusion.jobs.fuse import FusedMaps
@@ -32,11 +24,13 @@ if TYPE_CHECKING:
 
 def _files(out: Path, given: Mapping[str, Any]) -> list[Path]:
     """Return what may be written: also the maps of groups that may be found."""
-    stems = group_stems(stem_of(out, {".yaml", ".yml", STORE_END}), len(given["maps"]) // 2)
-    maps = [f"{stem}{end}" for stem in stems for end in ("", AGREEMENT_END)]
+    stems = outputs.group_stems(
+        stem_of(out, {".yaml", ".yml", outputs.STORE_END}), len(given["maps"]) // 2
+    )
+    maps = [f"{stem}{end}" for stem in stems for end in ("", outputs.AGREEMENT_END)]
     return [
-        record_file(stems[0]),
-        *(file for name in maps for file in map_files(Path(name), "pgm", "png")),
+        outputs.record_file(stems[0]),
+        *(file for name in maps for file in outputs.map_files(Path(name), "pgm", "png")),
     ]
 
 
@@ -72,7 +66,7 @@ def _check_workers(scheduler: str | None, processes: int | None) -> None:
     default="pgm",
     help="Image format of the maps. [default: pgm]",
 )
-@options.report("report_dir", lambda folder, _: [folder, folder / FAILED])
+@options.report("report_dir", lambda folder, _: [folder, folder / outputs.FAILED])
 @options.open_report
 @options.start(
     "Expected pose of map NAME. Several starts share one frame. A single start is given in the "
@@ -116,7 +110,10 @@ def command(
     from slamfusion.jobs.records import Circumstances  # noqa: PLC0415
 
     _check_workers(scheduler, processes)
-    config, store = options.with_starts(config, starts), out if out.suffix == STORE_END else None
+    config, store = (
+        options.with_starts(config, starts),
+        out if out.suffix == outputs.STORE_END else None,
+    )
     if store is not None and (truth_path is not None or report_dir is not None):
         message = f"--truth and --report look at the whole map, and {out} need not fit into memory"
         raise click.UsageError(message)
@@ -143,7 +140,7 @@ def command(
         elif error.pairs:
             tables.print_pairs(error.pairs, device.name)
         raise
-    stem = stem_of(out, {".yaml", ".yml", STORE_END})
+    stem = stem_of(out, {".yaml", ".yml", outputs.STORE_END})
     document = (
         fused.document()
         if store
@@ -158,7 +155,7 @@ def command(
     else:
         _print_result(fused, stem, report_dir)
     if is_opened and report_dir is not None:
-        click.launch(str(report_dir / PAGE))
+        click.launch(str(report_dir / outputs.PAGE))
 
 
 def _print_result(fused: FusedMaps, stem: Path, report_dir: Path | None) -> None:
@@ -172,16 +169,16 @@ def _print_result(fused: FusedMaps, stem: Path, report_dir: Path | None) -> None
         tables.tell_unaligned(fused.evaluations)
         tables.print_evaluations(fused.evaluations)
     others = fused.result.others
-    _, *stems = group_stems(stem, 1 + len(others))
+    _, *stems = outputs.group_stems(stem, 1 + len(others))
     quoted = shlex.quote(f"{stem}.yaml")
     output.print_facts(
         ("fused map", f"{stem}.yaml"),
-        *[("agreement", f"{stem}{AGREEMENT_END}.yaml")] * output.is_verbose(),
+        *[("agreement", f"{stem}{outputs.AGREEMENT_END}.yaml")] * output.is_verbose(),
         *(
             (f"group {number}", f"{own}.yaml ({', '.join(item.name for item in other.accepted)})")
             for number, (other, own) in enumerate(zip(others, stems, strict=True), start=2)
         ),
-        *([] if report_dir is None else [("report", report_dir / PAGE)]),
+        *([] if report_dir is None else [("report", report_dir / outputs.PAGE)]),
         *output.map_server_facts(Path(f"{stem}.yaml")),
         ("next", f"slamfusion show {quoted}"),
         *[("", f"slamfusion evaluate {quoted} --truth TRUE_MAP.yaml")] * (not fused.evaluations),

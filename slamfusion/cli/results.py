@@ -10,16 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from slamfusion.cli import options
-from slamfusion.cli.output import (
-    NOTHING,
-    Settings,
-    Table,
-    notice,
-    one_line,
-    print_facts,
-    print_table,
-)
+from slamfusion.cli import options, output
 from slamfusion.jobs.documents import number, spread
 
 if TYPE_CHECKING:
@@ -56,7 +47,7 @@ def save_results(
     from slamfusion.json_values import plain  # noqa: PLC0415
 
     context = click.get_current_context()
-    settings = context.ensure_object(Settings)
+    settings = context.ensure_object(output.Settings)
     write_results_file(
         path,
         command=" ".join(context.command_path.split()[1:]),
@@ -66,7 +57,7 @@ def save_results(
         inputs=inputs(),
     )
     if not settings.as_json:
-        context.call_on_close(lambda: print_facts(("results", path)))  # below the tables
+        context.call_on_close(lambda: output.print_facts(("results", path)))  # below the tables
 
 
 def print_items(rows: Sequence[Row], what: str, leading: Sequence[str]) -> None:
@@ -84,7 +75,7 @@ def print_items(rows: Sequence[Row], what: str, leading: Sequence[str]) -> None:
     print_by_case(figures, what, leading)
     in_cases = figures.reset_index().groupby("method")["case"].agg(frozenset)
     if len(set(in_cases)) > 1:
-        notice("means are of different cases: not every method has a result in each of them")
+        output.notice("means are of different cases: not every method has a result in each of them")
 
 
 def print_repetitions(rows: Sequence[Row], what: str) -> None:
@@ -126,7 +117,7 @@ def _print_figures(tables: Sequence[pd.DataFrame], what: str, title: str) -> Non
     columns = ["case ", "seed ", f"{what} ", *(own.label for own in figures)]
     if not any(row[1] for row in rows):
         columns, rows = columns[:1] + columns[2:], [row[:1] + row[2:] for row in rows]
-    print_table(columns, rows, title=title, names=len(columns) - len(figures))
+    output.print_table(columns, rows, title=title, names=len(columns) - len(figures))
 
 
 def print_by_case(figures: pd.DataFrame, what: str, leading: Sequence[str]) -> None:
@@ -151,7 +142,7 @@ def print_by_case(figures: pd.DataFrame, what: str, leading: Sequence[str]) -> N
             cells = [shown.get((method, case), "-") for case in cases]
             rows.append([method, *cells, *(number(value, figure.digits) for value in over_cases)])
         title = f"{figure.label}, case by case"
-        print_table((f"{what} ", *cases, "mean", "std"), rows, title=title)
+        output.print_table((f"{what} ", *cases, "mean", "std"), rows, title=title)
 
 
 # --- --table --------------------------------------------------------------------------------------
@@ -180,13 +171,13 @@ def table_option(function: F) -> F:
             return function(*arguments, **given)
         if given.get("as_json"):
             raise click.UsageError("--table and --json exclude each other; leave one out")
-        settings = click.get_current_context().ensure_object(Settings)
+        settings = click.get_current_context().ensure_object(output.Settings)
         settings.tables, settings.verbose = [], True
         try:
             return function(*arguments, **given)
         finally:
             written = _write(table_path, settings.tables)
-            print_facts(*(("" if n else "tables", file) for n, file in enumerate(written)))
+            output.print_facts(*(("" if n else "tables", file) for n, file in enumerate(written)))
 
     return option(wrapper)  # type: ignore[return-value]
 
@@ -197,7 +188,7 @@ def _files(path: Path, _: Mapping[str, Any]) -> list[Path]:
     return [path, *(item for item in path.parent.glob("*") if numbered.fullmatch(item.name))]
 
 
-def _write(path: Path, tables: list[Table]) -> list[Path]:
+def _write(path: Path, tables: list[output.Table]) -> list[Path]:
     """Write all files or none, and return them: of CSV one a table, of the others one in all."""
     from slamfusion.io import AtomicFiles  # noqa: PLC0415  (OpenCV loads slowly; --help needs none)
 
@@ -214,13 +205,13 @@ def _write(path: Path, tables: list[Table]) -> list[Path]:
     return written
 
 
-def _text(table: Table, form: str) -> str:
+def _text(table: output.Table, form: str) -> str:
     """Return a table in one of ``FORMS``; Markdown and LaTeX have its title."""
     import pandas as pd  # noqa: PLC0415  (an extra)
 
     from slamfusion.jobs.results import markdown  # noqa: PLC0415  (loads slowly)
 
-    heads, rows, title = table.heads, table.cells(), one_line(table.title)
+    heads, rows, title = table.heads, table.cells(), output.one_line(table.title)
     if form == ".md":
         return (f"## {title}\n\n" if title else "") + markdown(heads, rows)
     frame = pd.DataFrame(rows, columns=heads, dtype=object)
@@ -234,7 +225,7 @@ def _text(table: Table, form: str) -> str:
 
 def _harmless(cell: str) -> str:
     """Return a cell that no spreadsheet takes for a formula; numbers stay, no value is empty."""
-    if cell == NOTHING:
+    if cell == output.NOTHING:
         return ""
     if not cell.startswith(FORMULA):
         return cell

@@ -23,17 +23,7 @@ from slamfusion.config import FailuresConfig, GroundObstacleConfig, PlaceName, R
 from slamfusion.cores import usable_cores
 from slamfusion.errors import ConfigError, SlamFusionError
 from slamfusion.evaluation.measured import result_rows
-from slamfusion.experiments.fusions import (
-    CHOICE,
-    FUSED_PATH,
-    FUSIONS,
-    HINDSIGHT,
-    against_truth,
-    alone,
-    drawn_at,
-    fuse_in_every_way,
-    produce_maps,
-)
+from slamfusion.experiments import fusions
 from slamfusion.experiments.page import Experiment, percent
 from slamfusion.experiments.runs import RunResult, Setup, Tell, packed_maps, run_all
 from slamfusion.geometry import Pose2
@@ -198,8 +188,8 @@ def fusion_experiment(
     producers' paths; the faces of the drawn map, or else of the vote of ``run``, with those of the
     producers' maps.
     """
-    best = [CHOICE, HINDSIGHT]
-    drawn = [*map(drawn_at, (*BUILT_IN, HINDSIGHT))]
+    best = [fusions.CHOICE, fusions.HINDSIGHT]
+    drawn = [*map(fusions.drawn_at, (*BUILT_IN, fusions.HINDSIGHT))]
     ours, others = (DRAWN, [RUN_VOTE, *drawn]) if draws else (RUN_VOTE, [])
     experiment = Experiment(
         name,
@@ -207,21 +197,21 @@ def fusion_experiment(
         [row for _, result in results for row in result.rows],
         ("error", "ate_rmse_m", "faces_f1"),
         {
-            "error": list(itertools.combinations((*BUILT_IN, *FUSIONS), 2)),
-            "ate_rmse_m": [(FUSED_PATH, other) for other in (*BUILT_IN, *best)],
+            "error": list(itertools.combinations((*BUILT_IN, *fusions.FUSIONS), 2)),
+            "ate_rmse_m": [(fusions.FUSED_PATH, other) for other in (*BUILT_IN, *best)],
             "faces_f1": [(ours, other) for other in (*BUILT_IN, *best, *others)],
         },
         inputs=BUILT_IN,
-        fusions=FUSIONS,
+        fusions=fusions.FUSIONS,
         notes=[(condition, result.notes) for condition, result in results],
     )
     means = experiment.summaries["mean"].xs("error", level="figure")
     remarks = [
-        f"{case}: {fusion} {percent(means[case, fusion] / means[case, alone(fusion)])} against "
-        "fusing the others alone."
+        f"{case}: {fusion} {percent(means[case, fusion] / means[case, fusions.alone(fusion)])} "
+        "against fusing the others alone."
         for case in means.index.unique("case")
-        for fusion in FUSIONS
-        if (case, alone(fusion)) in means.index
+        for fusion in fusions.FUSIONS
+        if (case, fusions.alone(fusion)) in means.index
     ]
     return replace(experiment, remarks=remarks)
 
@@ -247,8 +237,8 @@ def measure_trial(
     fed = {name: faulty if trial.harmed in {"", name} else recording.scans for name in BUILT_IN}
     # A fault of all producers is a fault of the robot.
     seen = recording.scans if trial.harmed else faulty
-    made = fuse_in_every_way(
-        produce_maps(fed, config, device, tell),
+    made = fusions.fuse_in_every_way(
+        fusions.produce_maps(fed, config, device, tell),
         seen,
         config,
         device,
@@ -256,7 +246,7 @@ def measure_trial(
         drawn_cell_m=truth.resolution if trial.draws else None,
     )
     found = {
-        name: against_truth(grid, truth, config, device, same_heading=True)
+        name: fusions.against_truth(grid, truth, config, device, same_heading=True)
         for name, grid in made.maps.items()
     }
     ate_m = made.path_errors(_true_path(recording, seen))
@@ -287,8 +277,11 @@ def _best(
     """Return the figure of the chosen producer, and of the best in hindsight."""
     found = {}
     if choice in known:
-        found[CHOICE] = known[choice]
-    for name, names in ((HINDSIGHT, BUILT_IN), (drawn_at(HINDSIGHT), map(drawn_at, BUILT_IN))):
+        found[fusions.CHOICE] = known[choice]
+    for name, names in (
+        (fusions.HINDSIGHT, BUILT_IN),
+        (fusions.drawn_at(fusions.HINDSIGHT), map(fusions.drawn_at, BUILT_IN)),
+    ):
         own = [known[method] for method in names if method in known]
         if own:
             found[name] = best(own)

@@ -23,26 +23,17 @@ from matplotlib.patches import Patch  # noqa: TID251
 from matplotlib.ticker import MaxNLocator  # noqa: TID251
 from matplotlib.transforms import Affine2D, Bbox  # noqa: TID251
 
+from slamfusion import palette
 from slamfusion.config import NormalizeConfig
 from slamfusion.geometry import F64, Pose2
 from slamfusion.grid import CellBox, OccupancyGrid, box_origin, trinary_cells
-from slamfusion.palette import (
-    DISAGREEMENT_RGB,
-    END_RGB,
-    FREE_RGB,
-    INK_RGB,
-    START_RGB,
-    UNKNOWN_RGB,
-    WALL_RGB,
-    Rgb,
-)
 
 # Cells as -1 unknown, 0 free, 1 wall.
 Classes = npt.NDArray[np.int8]
 # The colours of a picture by what they mean.
-Legend = Mapping[str, Rgb]
+Legend = Mapping[str, palette.Rgb]
 
-INK = "#{:02x}{:02x}{:02x}".format(*INK_RGB)
+INK = "#{:02x}{:02x}{:02x}".format(*palette.INK_RGB)
 DPI = 230
 WIDTH_IN = 4.0
 SMALL_PT, TITLE_PT = 7.5, 8.5
@@ -63,10 +54,10 @@ _NO_METADATA: dict[str, dict[str, None]] = {
     "svg": {"Date": None},
     "pdf": {"CreationDate": None},
 }
-MARKS: Legend = {"start (circle)": START_RGB, "end (square)": END_RGB}
+MARKS: Legend = {"start (circle)": palette.START_RGB, "end (square)": palette.END_RGB}
 
 
-def unit_rgb(rgb: Rgb) -> tuple[float, float, float]:
+def unit_rgb(rgb: palette.Rgb) -> tuple[float, float, float]:
     """Return a colour as matplotlib has it."""
     r, g, b = (value / 255.0 for value in rgb)
     return r, g, b
@@ -79,7 +70,11 @@ PLACE_LOOK: dict[str, Any] = {
     "fontweight": "bold",
     "ha": "center",
     "va": "center",
-    "bbox": {"boxstyle": "circle,pad=0.25", "facecolor": unit_rgb(DISAGREEMENT_RGB), "lw": 0.0},
+    "bbox": {
+        "boxstyle": "circle,pad=0.25",
+        "facecolor": unit_rgb(palette.DISAGREEMENT_RGB),
+        "lw": 0.0,
+    },
     "zorder": 6.0,
 }
 
@@ -304,7 +299,7 @@ def draw_cells(axes: Axes, colours: npt.NDArray[np.uint8], side_m: float, corner
         transform=turned + axes.transData,
         aspect="auto",
     )
-    axes.set_facecolor(unit_rgb(UNKNOWN_RGB))
+    axes.set_facecolor(unit_rgb(palette.UNKNOWN_RGB))
     axes.set_xlim(limits[0])
     axes.set_ylim(limits[1])
 
@@ -330,17 +325,17 @@ def draw_grid(axes: Axes, grid: OccupancyGrid | None, normalize: NormalizeConfig
         return
     cells = trinary_cells(grid.cells, normalize)
     pooled, side_m, corner = shown_cells(cells, grid.resolution, grid.origin)
-    palette = np.array((UNKNOWN_RGB, FREE_RGB, WALL_RGB), dtype=np.uint8)
+    colours = np.array((palette.UNKNOWN_RGB, palette.FREE_RGB, palette.WALL_RGB), dtype=np.uint8)
     # Unknown cells have no colour here: around the map there is nothing either.
-    rgba = np.dstack((palette[pooled + 1], np.where(pooled == -1, 0, 255).astype(np.uint8)))
+    rgba = np.dstack((colours[pooled + 1], np.where(pooled == -1, 0, 255).astype(np.uint8)))
     draw_cells(axes, rgba, side_m, corner)
 
 
 def draw_marks(axes: Axes, poses: F64) -> None:
     """Mark the first and the last pose; where they are one place both are seen."""
     for pose, colour, marker, size in (
-        (poses[0], START_RGB, "o", 8.5),
-        (poses[-1], END_RGB, "s", 4.0),
+        (poses[0], palette.START_RGB, "o", 8.5),
+        (poses[-1], palette.END_RGB, "s", 4.0),
     ):
         axes.plot(
             [pose[0]],

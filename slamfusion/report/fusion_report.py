@@ -12,33 +12,9 @@ from slamfusion.config import RunConfig
 from slamfusion.evaluation.map_error import MapError
 from slamfusion.grid import CellBox, OccupancyGrid
 from slamfusion.palette import DISAGREEMENT_RGB
+from slamfusion.report import maps, page
 from slamfusion.report.canvas import Classes, crop_box, draw_places
 from slamfusion.report.layers import fusion_layers
-from slamfusion.report.maps import (
-    MAP_LEGEND,
-    YAW_TEXT,
-    agreement_colour,
-    agreement_picture,
-    error_section,
-    input_colours,
-    input_picture,
-    map_picture,
-    map_statistics,
-    overlay_picture,
-    pair_overlay,
-    pairs_section,
-    yaw_pictures,
-)
-from slamfusion.report.page import (
-    NO_TABLES,
-    Banner,
-    Fact,
-    Page,
-    Picture,
-    Section,
-    tables,
-    write_page,
-)
 from slamfusion.trajectory import Trajectory
 
 
@@ -58,12 +34,12 @@ def write_fusion_report(
     """
     sections = [fused_section(result), *group_sections(result), inputs_section(result, config)]
     if evaluations:
-        sections.append(error_section(evaluations))
+        sections.append(maps.error_section(evaluations))
     sections.append(alignment_section(result))
     sections.append(statistics_section(result, config))
     banner, facts = _banner(result, failure), _facts(result, evaluations)
-    page = Page("SLAMfusion report", banner, facts, sections, config, result.device)
-    return write_page(page, directory)
+    report = page.Page("SLAMfusion report", banner, facts, sections, config, result.device)
+    return page.write_page(report, directory)
 
 
 def write_failure_report(
@@ -78,41 +54,41 @@ def write_failure_report(
     """Write the report of maps that could not be fused: maps, pairs, reason; see ``write_page``."""
     normalize = config.fusion.normalize
     sections = [
-        Section(
+        page.Section(
             "Inputs",
             "The maps as they were given.",
-            [input_picture(grid, normalize) for grid in grids],
-            map_statistics(grids, normalize) if grids else NO_TABLES,
+            [maps.input_picture(grid, normalize) for grid in grids],
+            maps.map_statistics(grids, normalize) if grids else page.NO_TABLES,
         )
     ]
     if pairs:
-        sections.append(pairs_section(grids, pairs, normalize))
-        curves = yaw_pictures(pairs)
+        sections.append(maps.pairs_section(grids, pairs, normalize))
+        curves = maps.yaw_pictures(pairs)
         if curves:
-            sections.append(Section("Score over yaw", YAW_TEXT, curves))
-    banner = Banner("bad", "Nothing was fused", [("", reason)])
+            sections.append(page.Section("Score over yaw", maps.YAW_TEXT, curves))
+    banner = page.Banner("bad", "Nothing was fused", [("", reason)])
     facts = [
-        Fact(f"0 of {len(grids)}", "maps fused", "bad"),
-        Fact(str(sum(pair.accepted for pair in pairs)), f"of {len(pairs)} pairs accepted"),
+        page.Fact(f"0 of {len(grids)}", "maps fused", "bad"),
+        page.Fact(str(sum(pair.accepted for pair in pairs)), f"of {len(pairs)} pairs accepted"),
     ]
-    page = Page("SLAMfusion report", banner, facts, sections, config, device)
-    return write_page(page, directory)
+    report = page.Page("SLAMfusion report", banner, facts, sections, config, device)
+    return page.write_page(report, directory)
 
 
-def _banner(result: FusionResult, failure: str | None) -> Banner:
+def _banner(result: FusionResult, failure: str | None) -> page.Banner:
     """Say first which maps vote, and loudest which do not."""
     accepted = ", ".join(record.name for record in result.accepted)
     lines = doubtful_lines(result)
     lines.append(("Fused:", f"{accepted or 'none'}; in the frame of {result.reference}."))
     total, fused = len(result.inputs) - len(result.copies), len(result.accepted)
     if failure is not None:
-        return Banner("bad", "Do not use this map", [("", failure), *lines])
+        return page.Banner("bad", "Do not use this map", [("", failure), *lines])
     if fused < 2:
-        return Banner("bad", f"Not a vote: only {fused} of {total} maps remains", lines)
+        return page.Banner("bad", f"Not a vote: only {fused} of {total} maps remains", lines)
     if result.rejected:
-        return Banner("warn", f"Only {fused} of {total} maps were fused", lines)
+        return page.Banner("warn", f"Only {fused} of {total} maps were fused", lines)
     tone = "warn" if _weak(result) else "good"
-    return Banner(tone, f"{'Both' if total == 2 else f'All {total}'} maps were fused", lines)
+    return page.Banner(tone, f"{'Both' if total == 2 else f'All {total}'} maps were fused", lines)
 
 
 def doubtful_lines(result: FusionResult) -> list[tuple[str, str]]:
@@ -139,33 +115,33 @@ def _weak(result: FusionResult) -> list[tuple[str, str]]:
     ]
 
 
-def fusion_facts(result: FusionResult, failed: int = 0) -> list[Fact]:
+def fusion_facts(result: FusionResult, failed: int = 0) -> list[page.Fact]:
     """Return how many maps, without copies, were fused of all and of the failed ones."""
     total, fused = len(result.inputs) - len(result.copies) + failed, len(result.accepted)
     area = float(np.count_nonzero(result.fused.cells != -1)) * result.fused.resolution**2
     agreement = result.agreement.cells[result.agreement.cells >= 0]
     facts = [
-        Fact(f"{fused} of {total}", "maps fused", "good" if fused == total else "bad"),
-        Fact(f"{area:.0f} m²", "known in the fused map"),
+        page.Fact(f"{fused} of {total}", "maps fused", "good" if fused == total else "bad"),
+        page.Fact(f"{area:.0f} m²", "known in the fused map"),
     ]
     if agreement.size:
         unanimous = 100.0 * float(np.mean(agreement == 100))
-        facts.append(Fact(f"{unanimous:.0f} %", "of the voted cells are unanimous"))
+        facts.append(page.Fact(f"{unanimous:.0f} %", "of the voted cells are unanimous"))
     return facts
 
 
-def _facts(result: FusionResult, evaluations: Sequence[MapError]) -> list[Fact]:
+def _facts(result: FusionResult, evaluations: Sequence[MapError]) -> list[page.Fact]:
     """Return the numbers at the top."""
     facts = fusion_facts(result)
     facts += [
-        Fact(f"{evaluation.error:.2f}", "error of the fused map [F16]")
+        page.Fact(f"{evaluation.error:.2f}", "error of the fused map [F16]")
         for evaluation in evaluations
         if evaluation.name in {result.fused.name, "fused"}
     ]
     phantoms = "phantom cells: walls that no input has"
     tone = "bad" if result.phantom_cells else "plain"
-    facts.append(Fact(str(result.phantom_cells), phantoms, tone))
-    facts.append(Fact(f"{result.time_s:.2f} s", f"on {result.device}"))
+    facts.append(page.Fact(str(result.phantom_cells), phantoms, tone))
+    facts.append(page.Fact(f"{result.time_s:.2f} s", f"on {result.device}"))
     return facts
 
 
@@ -173,20 +149,20 @@ def fused_section(
     result: FusionResult,
     paths: Mapping[str, Trajectory] | None = None,
     places: Sequence[tuple[float, float]] = (),
-) -> Section:
+) -> page.Section:
     """Return the fused map with numbered places, the overlay of the inputs, and their agreement."""
     fused, box = result.fused, _shown_box(result)
-    drawn = map_picture(_classes(fused), fused.resolution, fused.origin, box)
+    drawn = maps.map_picture(_classes(fused), fused.resolution, fused.origin, box)
     draw_places(drawn, places)
     size = f"{fused.width} x {fused.height} cells of {fused.resolution:g} m"
     caption = f"{size}, in the frame of {result.reference}."
     tone = "good" if len(result.accepted) > 1 else "bad"
-    pictures = [Picture("fused", drawn, "Fused map", caption, tone, legend=MAP_LEGEND)]
+    pictures = [page.Picture("fused", drawn, "Fused map", caption, tone, legend=maps.MAP_LEGEND)]
     layers = {own.name: own.aligned for own in result.accepted if own.aligned is not None}
     if layers:
-        colours = input_colours([record.name for record in result.inputs])
+        colours = maps.input_colours([record.name for record in result.inputs])
         legend = {name: colours[name] for name in layers}
-        overlay = overlay_picture(
+        overlay = maps.overlay_picture(
             list(layers.values()), list(legend.values()), fused.resolution, fused.origin, box
         )
         title = "The aligned inputs over each other"
@@ -194,15 +170,15 @@ def fused_section(
             "A wall has the colour of its map; it is darker where more maps have it, and black "
             "where all do. A coloured copy next to a black wall shows a slip."
         )
-        pictures.append(Picture("overlay", overlay, title, caption, legend=legend))
-    shares = agreement_picture(result.agreement, box)
+        pictures.append(page.Picture("overlay", overlay, title, caption, legend=legend))
+    shares = maps.agreement_picture(result.agreement, box)
     caption = "Share of votes for the winner of each cell. A block of cells shows its worst."
-    legend = {f"{share} %": agreement_colour(share) for share in (100, 75, 50, 25)}
-    pictures.append(Picture("agreement", shares, "Agreement", caption, legend=legend))
-    return Section("Fused map", "", pictures, layers=fusion_layers(result, paths, places))
+    legend = {f"{share} %": maps.agreement_colour(share) for share in (100, 75, 50, 25)}
+    pictures.append(page.Picture("agreement", shares, "Agreement", caption, legend=legend))
+    return page.Section("Fused map", "", pictures, layers=fusion_layers(result, paths, places))
 
 
-def group_sections(result: FusionResult) -> list[Section]:
+def group_sections(result: FusionResult) -> list[page.Section]:
     """Return the fused maps of further groups; empty without any."""
     if not result.others:
         return []
@@ -211,15 +187,15 @@ def group_sections(result: FusionResult) -> list[Section]:
         names = ", ".join(record.name for record in other.accepted)
         fused = other.fused
         pictures.append(
-            Picture(
+            page.Picture(
                 f"group-{place}",
-                map_picture(_classes(fused), fused.resolution, fused.origin),
+                maps.map_picture(_classes(fused), fused.resolution, fused.origin),
                 f"Group {place}",
                 f"{names}; in the frame of {other.reference}.",
             )
         )
     text = "Maps that fit each other, and share no ground with the others or contradict them."
-    return [Section("Further groups", text, pictures)]
+    return [page.Section("Further groups", text, pictures)]
 
 
 def _shown_box(result: FusionResult) -> CellBox:
@@ -231,35 +207,39 @@ def _shown_box(result: FusionResult) -> CellBox:
     return crop_box(shown)
 
 
-def inputs_section(result: FusionResult, config: RunConfig) -> Section:
+def inputs_section(result: FusionResult, config: RunConfig) -> page.Section:
     """Return every input: one that votes aligned, a rejected one also at its best alignment."""
     normalize, fused = config.fusion.normalize, result.fused
     grids = {record.name: record.grid for record in result.inputs}
-    colours, box = input_colours(list(grids)), _shown_box(result)
-    pictures: list[Picture | None] = []
+    colours, box = maps.input_colours(list(grids)), _shown_box(result)
+    pictures: list[page.Picture | None] = []
     for record in result.inputs:
         alignment = record.alignment
         if record.copy_of is not None:
             continue
         if record.aligned is not None:
-            drawn = map_picture(record.aligned, fused.resolution, fused.origin, box, record.dissent)
+            drawn = maps.map_picture(
+                record.aligned, fused.resolution, fused.origin, box, record.dissent
+            )
             role = "Reference. " if record.name == result.reference else ""
             caption = f"{role}Outvoted in {_outvoted(record)}."
-            legend = {**MAP_LEGEND, "outvoted": DISAGREEMENT_RGB}
+            legend = {**maps.MAP_LEGEND, "outvoted": DISAGREEMENT_RGB}
             stem, title = f"input-{record.name}", f"{record.name}, aligned"
-            pictures.append(Picture(stem, drawn, title, caption, legend=legend))
+            pictures.append(page.Picture(stem, drawn, title, caption, legend=legend))
             continue
         rejected = None if record.accepted else record.reason
-        pictures.append(input_picture(record.grid, normalize, rejected=rejected))
+        pictures.append(maps.input_picture(record.grid, normalize, rejected=rejected))
         if not record.accepted and alignment is not None and alignment.reference in grids:
             reference = grids[alignment.reference]
-            pictures.append(pair_overlay(reference, record.grid, alignment, normalize, colours))
+            pictures.append(
+                maps.pair_overlay(reference, record.grid, alignment, normalize, colours)
+            )
     text = (
         "The inputs that vote, aligned with the fused map; a rejected one is in its own frame. "
         "Scattered outvoted cells are noise; at a whole outvoted wall this map or all others are "
         "wrong."
     )
-    return Section("Inputs", text, [picture for picture in pictures if picture is not None])
+    return page.Section("Inputs", text, [picture for picture in pictures if picture is not None])
 
 
 def _outvoted(record: InputRecord) -> str:
@@ -275,7 +255,7 @@ def _outvoted(record: InputRecord) -> str:
     return f"{cells} cells; {share:.1f} % of those it knows"
 
 
-def alignment_section(result: FusionResult) -> Section:
+def alignment_section(result: FusionResult) -> page.Section:
     """Return transforms, the table of all pairs, and the scores over yaw of rejected ones."""
     to_reference = [
         record.alignment
@@ -286,25 +266,25 @@ def alignment_section(result: FusionResult) -> Section:
     ]
     shown = {(item.moving, item.reference) for item in to_reference}
     others = [pair for pair in result.pairs if (pair.moving, pair.reference) not in shown]
-    table = tables().alignments
+    table = page.tables().alignments
     found = table(f"Alignment to {result.reference}", to_reference)
     found += table("All other pairs", others, True)
-    curves = yaw_pictures([item for item in (*to_reference, *others) if not item.accepted])
-    return Section("Alignment", YAW_TEXT if curves else "", curves, found)
+    curves = maps.yaw_pictures([item for item in (*to_reference, *others) if not item.accepted])
+    return page.Section("Alignment", maps.YAW_TEXT if curves else "", curves, found)
 
 
 def statistics_section(
     result: FusionResult, config: RunConfig, doubled: Mapping[str, float] | None = None
-) -> Section:
+) -> page.Section:
     """Return the weights of the voters, the agreement of walls, and the maps in numbers.
 
     Args:
         doubled: known shares of doubled walls by name; the fused map's is ``fused map``.
     """
     grids = [*(record.grid for record in result.inputs), result.fused.with_name("fused map")]
-    found = tables().votes(result, _outvoted)
-    found += map_statistics(grids, config.fusion.normalize, doubled or {})
-    return Section("Votes and maps in numbers", tables=found)
+    found = page.tables().votes(result, _outvoted)
+    found += maps.map_statistics(grids, config.fusion.normalize, doubled or {})
+    return page.Section("Votes and maps in numbers", tables=found)
 
 
 def _classes(grid: OccupancyGrid) -> Classes:

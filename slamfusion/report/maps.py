@@ -13,65 +13,36 @@ from markupsafe import Markup
 from matplotlib import colormaps  # noqa: TID251
 from matplotlib.figure import Figure  # noqa: TID251
 
+from slamfusion import palette
 from slamfusion.align.records import Alignment
 from slamfusion.config import NormalizeConfig
+from slamfusion.evaluation import map_error
 from slamfusion.evaluation.distances import sample_on_lattice
 from slamfusion.evaluation.doubled_walls import doubled_wall_share
-from slamfusion.evaluation.map_error import (
-    AGREE_FREE,
-    AGREE_UNKNOWN,
-    AGREE_WALL,
-    EXTRA_FREE,
-    EXTRA_WALL,
-    MISSING_FREE,
-    MISSING_WALL,
-    MapError,
-)
 from slamfusion.evaluation.measured import Figure as Measure
 from slamfusion.evaluation.measured import face_figures, shown_figures
 from slamfusion.geometry import Pose2
 from slamfusion.grid import CellBox, OccupancyGrid, box_origin, known_box, trinary_cells
-from slamfusion.palette import (
-    DISAGREEMENT_RGB,
-    EXTRA_FREE_RGB,
-    EXTRA_WALL_RGB,
-    FREE_RGB,
-    MISSING_FREE_RGB,
-    MISSING_WALL_RGB,
-    UNKNOWN_RGB,
-    WALL_RGB,
-    Rgb,
-    colours_of,
-)
-from slamfusion.report.canvas import (
-    INK,
-    SMALL_PT,
-    Classes,
-    Legend,
-    cells_extent,
-    crop_box,
-    draw_cells,
-    label_axes,
-    map_axes,
-    shown_cells,
-    stacked_axes,
-    unit_rgb,
-)
+from slamfusion.report import canvas
 from slamfusion.report.page import Picture, Section, tables
 from slamfusion.web.scene import layer_name
 
 # In the order of visibility when cells are pooled: the last wins.
-DIFFERENCES: dict[int, tuple[str, Rgb]] = {
-    AGREE_UNKNOWN: ("both unknown", UNKNOWN_RGB),
-    AGREE_FREE: ("both free", FREE_RGB),
-    EXTRA_FREE: ("free, unknown in the truth", EXTRA_FREE_RGB),
-    MISSING_FREE: ("unknown, free in the truth", MISSING_FREE_RGB),
-    AGREE_WALL: ("true wall", WALL_RGB),
-    EXTRA_WALL: ("extra wall", EXTRA_WALL_RGB),
-    MISSING_WALL: ("missing wall", MISSING_WALL_RGB),
+DIFFERENCES: dict[int, tuple[str, palette.Rgb]] = {
+    map_error.AGREE_UNKNOWN: ("both unknown", palette.UNKNOWN_RGB),
+    map_error.AGREE_FREE: ("both free", palette.FREE_RGB),
+    map_error.EXTRA_FREE: ("free, unknown in the truth", palette.EXTRA_FREE_RGB),
+    map_error.MISSING_FREE: ("unknown, free in the truth", palette.MISSING_FREE_RGB),
+    map_error.AGREE_WALL: ("true wall", palette.WALL_RGB),
+    map_error.EXTRA_WALL: ("extra wall", palette.EXTRA_WALL_RGB),
+    map_error.MISSING_WALL: ("missing wall", palette.MISSING_WALL_RGB),
 }
 
-MAP_LEGEND: Legend = {"wall": WALL_RGB, "free": FREE_RGB, "unknown": UNKNOWN_RGB}
+MAP_LEGEND: canvas.Legend = {
+    "wall": palette.WALL_RGB,
+    "free": palette.FREE_RGB,
+    "unknown": palette.UNKNOWN_RGB,
+}
 
 # Share of votes for the winner: white for all, through yellow to red for hardly any.
 _AGREEMENT_MAP = "YlOrRd"
@@ -89,7 +60,7 @@ YAW_TEXT = (
 
 
 def map_picture(
-    cells: Classes,
+    cells: canvas.Classes,
     resolution: float,
     origin: Pose2,
     box: CellBox | None = None,
@@ -102,13 +73,13 @@ def map_picture(
         outvoted: (H, W) bool, cells that are marked.
     """
     codes = cells if outvoted is None else np.where(outvoted, np.int8(2), cells)
-    colours = (UNKNOWN_RGB, FREE_RGB, WALL_RGB, DISAGREEMENT_RGB)
+    colours = (palette.UNKNOWN_RGB, palette.FREE_RGB, palette.WALL_RGB, palette.DISAGREEMENT_RGB)
     return _codes_figure(codes, colours, resolution, origin, box)
 
 
 def overlay_picture(
-    layers: Sequence[Classes],
-    colours: Sequence[Rgb],
+    layers: Sequence[canvas.Classes],
+    colours: Sequence[palette.Rgb],
     resolution: float,
     origin: Pose2,
     box: CellBox | None = None,
@@ -118,21 +89,23 @@ def overlay_picture(
     A wall in one map has that map's colour, in several a darker one, in all the colour of walls.
     The more maps know another cell, the whiter it is. See ``map_picture``.
     """
-    box = box or crop_box(np.any([layer != -1 for layer in layers], axis=0))
-    shown = [shown_cells(layer, resolution, origin, box) for layer in layers]
+    box = box or canvas.crop_box(np.any([layer != -1 for layer in layers], axis=0))
+    shown = [canvas.shown_cells(layer, resolution, origin, box) for layer in layers]
     return _cells_figure(overlay_rgb([cells for cells, _, _ in shown], colours), *shown[0][1:])
 
 
-def overlay_rgb(layers: Sequence[Classes], colours: Sequence[Rgb]) -> npt.NDArray[np.uint8]:
+def overlay_rgb(
+    layers: Sequence[canvas.Classes], colours: Sequence[palette.Rgb]
+) -> npt.NDArray[np.uint8]:
     """Return the colours of ``overlay_picture``, (H, W, 3)."""
     pooled = np.array(layers)
     walls = (pooled == 1)[..., None]
     count = walls.sum(axis=0)
     own = (walls * np.array(colours, dtype=np.float64)[:, None, None]).sum(axis=0)
     dark = np.clip((count - 1) / max(len(layers) - 1, 1), 0.0, 1.0)
-    wall = own / np.maximum(count, 1) * (1.0 - dark) + np.array(WALL_RGB) * dark
+    wall = own / np.maximum(count, 1) * (1.0 - dark) + np.array(palette.WALL_RGB) * dark
     known = np.mean(pooled != -1, axis=0)[..., None]
-    ground = np.array(UNKNOWN_RGB) * (1.0 - known) + np.array(FREE_RGB) * known
+    ground = np.array(palette.UNKNOWN_RGB) * (1.0 - known) + np.array(palette.FREE_RGB) * known
     return np.asarray(np.rint(np.where(count > 0, wall, ground)), dtype=np.uint8)
 
 
@@ -141,14 +114,14 @@ def agreement_picture(agreement: OccupancyGrid, box: CellBox | None = None) -> F
     # The worst cell of a block counts: disagreement must not vanish in a small picture.
     cells = agreement.cells
     disagreement = np.where(cells < 0, -1, 100 - cells.astype(np.int16)).astype(np.int8)
-    colours = [UNKNOWN_RGB, *(agreement_colour(100 - step) for step in range(101))]
+    colours = [palette.UNKNOWN_RGB, *(agreement_colour(100 - step) for step in range(101))]
     return _codes_figure(disagreement, colours, agreement.resolution, agreement.origin, box)
 
 
-def agreement_colour(percent: int) -> Rgb:
+def agreement_colour(percent: int) -> palette.Rgb:
     """Return the colour of a share of votes: white for all, then yellow to dark red."""
     if percent >= 100:
-        return FREE_RGB
+        return palette.FREE_RGB
     r, g, b, _ = colormaps[_AGREEMENT_MAP](0.15 + 0.85 * (100 - percent) / 100.0)
     return round(255 * r), round(255 * g), round(255 * b)
 
@@ -158,41 +131,54 @@ def yaw_picture(alignment: Alignment, profile: npt.NDArray[np.float64]) -> Figur
     order = np.argsort(profile[:, 0])
     yaw_deg, score = np.rad2deg(profile[order, 0]), profile[order, 1]
 
-    figure, (axes,) = stacked_axes(1, 1.5)
-    axes.fill_between(yaw_deg, score, min(0.0, float(score.min())), color=INK, alpha=0.16, lw=0)
-    axes.plot(yaw_deg, score, color=INK, lw=1.1)
-    marks = [(alignment.transform, "answer", WALL_RGB, "o")]
+    figure, (axes,) = canvas.stacked_axes(1, 1.5)
+    axes.fill_between(
+        yaw_deg, score, min(0.0, float(score.min())), color=canvas.INK, alpha=0.16, lw=0
+    )
+    axes.plot(yaw_deg, score, color=canvas.INK, lw=1.1)
+    marks = [(alignment.transform, "answer", palette.WALL_RGB, "o")]
     if alignment.runner_up is not None:
         ratio = f"runner-up, {alignment.runner_up.ratio:.2f} of it"
-        marks.append((alignment.runner_up.transform, ratio, DISAGREEMENT_RGB, "D"))
+        marks.append((alignment.runner_up.transform, ratio, palette.DISAGREEMENT_RGB, "D"))
     for pose, label, rgb, marker in marks:
         angle = math.degrees(math.remainder(pose.yaw_rad, 2 * math.pi))
-        look: dict[str, Any] = {"color": unit_rgb(rgb), "marker": marker, "ms": 5, "ls": "none"}
-        axes.axvline(angle, color=unit_rgb(rgb), lw=1.0, ls=":")
+        look: dict[str, Any] = {
+            "color": canvas.unit_rgb(rgb),
+            "marker": marker,
+            "ms": 5,
+            "ls": "none",
+        }
+        axes.axvline(angle, color=canvas.unit_rgb(rgb), lw=1.0, ls=":")
         height = float(np.interp(angle, yaw_deg, score))
         axes.plot([angle], [height], label=f"{label} ({angle:.1f}°)", **look)
-    label_axes(axes, x="yaw [°]", y="coarse score")
+    canvas.label_axes(axes, x="yaw [°]", y="coarse score")
     axes.margins(x=0)
     axes.set_ylim(top=float(score.max()) * 1.35 + 1e-9)
-    axes.legend(loc="upper left", ncols=2, frameon=False, fontsize=SMALL_PT, labelcolor=INK)
+    axes.legend(
+        loc="upper left", ncols=2, frameon=False, fontsize=canvas.SMALL_PT, labelcolor=canvas.INK
+    )
     if yaw_deg[-1] - yaw_deg[0] > 300:
         axes.set_xticks(range(-180, 181, 45))
     return figure
 
 
 def _codes_figure(
-    codes: Classes, colours: Sequence[Rgb], resolution: float, origin: Pose2, box: CellBox | None
+    codes: canvas.Classes,
+    colours: Sequence[palette.Rgb],
+    resolution: float,
+    origin: Pose2,
+    box: CellBox | None,
 ) -> Figure:
     """Draw cells by their codes, from -1 on; of a block of cells the largest code shows."""
-    pooled, side_m, corner = shown_cells(codes, resolution, origin, box)
+    pooled, side_m, corner = canvas.shown_cells(codes, resolution, origin, box)
     rgb = np.array(colours, dtype=np.uint8)[pooled.astype(np.int16) + 1]
     return _cells_figure(rgb, side_m, corner)
 
 
 def _cells_figure(rgb: npt.NDArray[np.uint8], side_m: float, corner: Pose2) -> Figure:
     """Return the picture of an image of cells; see ``draw_cells``."""
-    figure, axes = map_axes(cells_extent(rgb.shape, side_m, corner), margin_m=0.0)
-    draw_cells(axes, rgb, side_m, corner)
+    figure, axes = canvas.map_axes(canvas.cells_extent(rgb.shape, side_m, corner), margin_m=0.0)
+    canvas.draw_cells(axes, rgb, side_m, corner)
     return figure
 
 
@@ -200,7 +186,12 @@ def _cells_figure(rgb: npt.NDArray[np.uint8], side_m: float, corner: Pose2) -> F
 
 
 def judged_picture(
-    stem: str, figure: Figure, title: str, alignment: Alignment, legend: Legend, lead: str = ""
+    stem: str,
+    figure: Figure,
+    title: str,
+    alignment: Alignment,
+    legend: canvas.Legend,
+    lead: str = "",
 ) -> Picture:
     """Return the picture of an alignment, framed and marked if it was rejected."""
     badge = "" if alignment.accepted else "rejected"
@@ -221,9 +212,9 @@ def input_picture(
     return Picture(stem, figure, grid.name, caption, badge=badge, legend=MAP_LEGEND)
 
 
-def input_colours(names: Sequence[str]) -> dict[str, Rgb]:
+def input_colours(names: Sequence[str]) -> dict[str, palette.Rgb]:
     """Return the colours of all inputs of a page, as their layers have them."""
-    layers = colours_of(layer_name(name) for name in names)
+    layers = palette.colours_of(layer_name(name) for name in names)
     return {name: layers[layer_name(name)] for name in names}
 
 
@@ -232,7 +223,7 @@ def pair_overlay(
     moving: OccupancyGrid,
     alignment: Alignment,
     normalize: NormalizeConfig,
-    colours: Mapping[str, Rgb],
+    colours: Mapping[str, palette.Rgb],
 ) -> Picture | None:
     """Return an overlay of a pair; None if they are too far apart or one is all unknown."""
     fixed, moved = trinary_cells(reference.cells, normalize), trinary_cells(moving.cells, normalize)
@@ -327,7 +318,7 @@ def map_statistics(
 
 
 def error_section(
-    evaluations: Sequence[MapError], alignments: Sequence[Alignment | None] = ()
+    evaluations: Sequence[map_error.MapError], alignments: Sequence[Alignment | None] = ()
 ) -> Section:
     """Return the errors against one truth as a table and pictures of the difference.
 
@@ -348,9 +339,9 @@ def error_section(
 
 
 def _best_marked(
-    evaluations: Sequence[MapError],
+    evaluations: Sequence[map_error.MapError],
     lost: Sequence[bool],
-    figures_of: Callable[[MapError], Sequence[tuple[Measure, float | None]]],
+    figures_of: Callable[[map_error.MapError], Sequence[tuple[Measure, float | None]]],
 ) -> tuple[list[str], list[Mapping[str, Any]]]:
     """Return the names of measures, and a row for each map; of each measure the best is marked."""
     heads, columns = [], []
@@ -366,7 +357,7 @@ def _best_marked(
     return heads, [{"name": own.name, "is_lost": bad, "values": row} for own, bad, row in rows]
 
 
-def difference_picture(evaluation: MapError, alignment: Alignment | None) -> Picture:
+def difference_picture(evaluation: map_error.MapError, alignment: Alignment | None) -> Picture:
     """Return where a map differs from the truth; an alignment that was rejected is marked."""
     difference, caption, badge = evaluation.difference, ".", ""
     if alignment is not None and not alignment.accepted:

@@ -21,24 +21,7 @@ from slamfusion.evidence.recommendation import Recommendation
 from slamfusion.geometry import F64, compose_poses
 from slamfusion.grid import OccupancyGrid
 from slamfusion.palette import DISAGREEMENT_RGB, NAMED, Rgb, colours_of
-from slamfusion.report.canvas import (
-    INK,
-    MARKS,
-    PLACE_LOOK,
-    SMALL_PT,
-    Legend,
-    box_of,
-    draw_grid,
-    draw_marks,
-    grown,
-    label_axes,
-    map_axes,
-    place_extent,
-    plain_text,
-    stacked_axes,
-    unit_rgb,
-    write_note,
-)
+from slamfusion.report import canvas
 from slamfusion.report.page import Picture, Section, tables
 from slamfusion.slam.common.mapper import Closure
 from slamfusion.trajectory import Trajectory
@@ -79,8 +62,8 @@ def path_picture(
     if shown is None:
         label, scale, span = "time since the start [s]", "plasma", _TIME_SPAN
         shown = trajectory.stamps_s - trajectory.stamps_s[0]
-    figure, axes = map_axes(place_extent(poses, grid, normalize), bar=True)
-    draw_grid(axes, grid, normalize)
+    figure, axes = canvas.map_axes(canvas.place_extent(poses, grid, normalize), bar=True)
+    canvas.draw_grid(axes, grid, normalize)
     lines = LineCollection(
         list(np.stack((poses[:-1, :2], poses[1:, :2]), axis=1)),
         cmap=LinearSegmentedColormap.from_list("part", colormaps[scale](np.linspace(*span, 256))),
@@ -90,14 +73,14 @@ def path_picture(
     )
     lines.set_array((shown[:-1] + shown[1:]) / 2.0)
     axes.add_collection(lines, autolim=False)
-    draw_marks(axes, poses)
+    canvas.draw_marks(axes, poses)
     # The bar stands in a strip of its own, so that the map keeps its shape.
     box = axes.get_position()
     strip = figure.add_axes((box.x1 + 0.025, box.y0, 0.022, box.height))
     bar = figure.colorbar(lines, cax=strip)
-    bar.set_label(label, color=INK, fontsize=SMALL_PT)
-    bar.outline.set_edgecolor(INK)
-    strip.tick_params(colors=INK, labelsize=SMALL_PT, width=0.7, length=3)
+    bar.set_label(label, color=canvas.INK, fontsize=canvas.SMALL_PT)
+    bar.outline.set_edgecolor(canvas.INK)
+    strip.tick_params(colors=canvas.INK, labelsize=canvas.SMALL_PT, width=0.7, length=3)
     return figure
 
 
@@ -148,34 +131,36 @@ def paths_picture(
         others: its alternatives, drawn faintly under the lines; cut off as drift.
     """
     shown = [other for other in others if len(other)]
-    extent = place_extent(marked.poses, grid, normalize)
+    extent = canvas.place_extent(marked.poses, grid, normalize)
     for line in sorted(lines, key=lambda line: line.is_cut):
-        extent = grown(extent, box_of(line.path.poses), _DRIFT_SHARE if line.is_cut else None)
+        extent = canvas.grown(
+            extent, canvas.box_of(line.path.poses), _DRIFT_SHARE if line.is_cut else None
+        )
     for other in shown:
-        extent = grown(extent, box_of(other.poses), _DRIFT_SHARE)
-    figure, axes = map_axes(extent)
-    draw_grid(axes, grid, normalize)
+        extent = canvas.grown(extent, canvas.box_of(other.poses), _DRIFT_SHARE)
+    figure, axes = canvas.map_axes(extent)
+    canvas.draw_grid(axes, grid, normalize)
     _draw_others(axes, shown, _others_rgb(marked.name))
     for line in lines:
         axes.plot(
             *line.path.poses[:, :2].T,
-            color=unit_rgb(line.rgb),
+            color=canvas.unit_rgb(line.rgb),
             lw=line.width,
             ls=(0, (3.0, 2.0)) if line.is_dashed else "-",
             scalex=False,
             scaley=False,
         )
-    draw_marks(axes, marked.poses)
+    canvas.draw_marks(axes, marked.poses)
     return figure
 
 
-def paths_legend(lines: Sequence[Line], others: Sequence[Trajectory] = ()) -> Legend:
+def paths_legend(lines: Sequence[Line], others: Sequence[Trajectory] = ()) -> canvas.Legend:
     """Return what the colours of ``paths_picture`` mean, the uppermost line first."""
     legend = {line.text: line.rgb for line in reversed(lines)}
     if others:
         text = f"{len(others)} other path{'s' if len(others) > 1 else ''}, faint"
         legend[text] = _others_rgb(lines[-1].path.name)
-    return {**legend, **MARKS}
+    return {**legend, **canvas.MARKS}
 
 
 def _others_rgb(name: str) -> Rgb:
@@ -189,7 +174,7 @@ def _draw_others(axes: Axes, others: Sequence[Trajectory], rgb: Rgb) -> None:
     step = max(1, -(-poses // _OTHERS_POINTS))
     # At a fixed stride, and the last.
     lines = [path.poses[np.r_[: len(path) - 1 : step, -1], :2] for path in reversed(others)]
-    colour = (*unit_rgb(rgb), _OTHERS_OPACITY)
+    colour = (*canvas.unit_rgb(rgb), _OTHERS_OPACITY)
     axes.add_collection(LineCollection(lines, colors=[colour], linewidths=0.7), autolim=False)
 
 
@@ -218,7 +203,7 @@ def path_pictures(
             path_picture(trajectory, grid=grid, normalize=normalize),
             "The path over the map" if grid is not None else "The path",
             f"{len(trajectory)} poses, {trajectory.path_length_m():.1f} m.",
-            legend=MARKS,
+            legend=canvas.MARKS,
         )
     ]
     lines, captions = [estimate_line(trajectory)], []
@@ -265,11 +250,11 @@ def closures_picture(
 
     Times beyond the path's count as its ends.
     """
-    figure, axes = map_axes(place_extent(path.poses, grid, normalize))
-    draw_grid(axes, grid, normalize)
+    figure, axes = canvas.map_axes(canvas.place_extent(path.poses, grid, normalize))
+    canvas.draw_grid(axes, grid, normalize)
     own, used, outlier = (*colours_of((path.name, "closures")).values(), DISAGREEMENT_RGB)
     still: dict[str, Any] = {"scalex": False, "scaley": False}
-    axes.plot(*path.poses[:, :2].T, color=unit_rgb(own), lw=0.8, **still)
+    axes.plot(*path.poses[:, :2].T, color=canvas.unit_rgb(own), lw=0.8, **still)
     outliers = [one for one in closures if one.weight < USED_FROM]
     for colour, chosen in (
         (used, [one for one in closures if one.weight >= USED_FROM]),
@@ -284,13 +269,13 @@ def closures_picture(
         here = path.poses[ends, :2]
         lines = LineCollection(
             list(np.stack((here, there), axis=1)),
-            colors=[unit_rgb(colour)],
+            colors=[canvas.unit_rgb(colour)],
             linewidths=0.8,
             zorder=3.0,  # above the path
         )
         axes.add_collection(lines, autolim=False)
-        axes.plot(*here.T, color=unit_rgb(colour), marker=".", ms=2.0, ls="none", **still)
-    draw_marks(axes, path.poses)
+        axes.plot(*here.T, color=canvas.unit_rgb(colour), marker=".", ms=2.0, ls="none", **still)
+    canvas.draw_marks(axes, path.poses)
     texts = (
         "path",
         f"closures used: {len(closures) - len(outliers)}",
@@ -301,7 +286,7 @@ def closures_picture(
         figure,
         "The loop closures",
         "A line leads to where a closure has the robot; a long one contradicts the path.",
-        legend={**dict(zip(texts, (own, used, outlier), strict=True)), **MARKS},
+        legend={**dict(zip(texts, (own, used, outlier), strict=True)), **canvas.MARKS},
     )
 
 
@@ -337,20 +322,20 @@ def place_lines(answer: Recommendation) -> list[tuple[str, str]]:
 def strip_picture(answer: Recommendation, colours: Mapping[str, Rgb]) -> Picture:
     """Draw who was off when: a bar for each path, and the places to check across them."""
     names = [path.name for path in answer.paths]
-    figure, (axes,) = stacked_axes(1, 0.16 + 0.2 * len(names))
+    figure, (axes,) = canvas.stacked_axes(1, 0.16 + 0.2 * len(names))
     for row, path in enumerate(answer.paths):
         for span in path.spans:
             colour = colours[path.name] if span.agrees else DISAGREEMENT_RGB
             extent = [(span.from_s, span.to_s - span.from_s)]
-            axes.broken_barh(extent, (row - 0.3, 0.6), facecolor=unit_rgb(colour))
+            axes.broken_barh(extent, (row - 0.3, 0.6), facecolor=canvas.unit_rgb(colour))
     for nth, place in enumerate(answer.check, start=1):
-        axes.axvspan(place.from_s, place.to_s, color=INK, alpha=0.2, lw=0)
+        axes.axvspan(place.from_s, place.to_s, color=canvas.INK, alpha=0.2, lw=0)
         middle_s = 0.5 * (place.from_s + place.to_s)
-        axes.annotate(str(nth), (middle_s, -0.62), annotation_clip=False, **PLACE_LOOK)
+        axes.annotate(str(nth), (middle_s, -0.62), annotation_clip=False, **canvas.PLACE_LOOK)
     axes.set_ylim(len(names) - 0.5, -0.62)
-    axes.set_yticks(range(len(names)), [plain_text(name)[:10] for name in names])
+    axes.set_yticks(range(len(names)), [canvas.plain_text(name)[:10] for name in names])
     axes.margins(x=0.0)
-    label_axes(axes, x="time since the start [s]")
+    canvas.label_axes(axes, x="time since the start [s]")
     legend = {f"{PART_M:g} m or more from the recommended path": DISAGREEMENT_RGB}
     caption = "Numbers and grey bands: the places to check."
     return Picture("who-was-off", figure, "Who was off when", caption, legend=legend)
@@ -361,25 +346,25 @@ def evidence_picture(
 ) -> Figure:
     """Draw the score of each path over the drive, and below how far it is from the recommended."""
     best, *others = answer.paths
-    figure, axes = stacked_axes(2, (1.6, 1.0)) if others else stacked_axes(1, 1.6)
+    figure, axes = canvas.stacked_axes(2, (1.6, 1.0)) if others else canvas.stacked_axes(1, 1.6)
     start_s = float(evidence.scans.stamps_s[0])
-    colours = {name: unit_rgb(colour) for name, colour in rgb.items()}
+    colours = {name: canvas.unit_rgb(colour) for name, colour in rgb.items()}
     for name, colour in colours.items():
         times_s, mean, _, _ = evidence.over_time(name)
         axes[0].plot(times_s - start_s, mean, color=colour, lw=1.1, marker="o", ms=2.0)
-    label_axes(axes[0], "log-likelihood of a hit")
+    canvas.label_axes(axes[0], "log-likelihood of a hit")
     if others:
         last = axes[1]
         since_s = evidence.scans.stamps_s[evidence.is_judged] - start_s
         for path in others:
             gap_m = np.maximum(path_gap_m(evidence, path.name, best.name), _LEAST_GAP_M)
             last.plot(since_s, gap_m, color=colours[path.name], lw=0.9)
-        last.axhline(PART_M, color=INK, lw=0.8, ls=":")
-        write_note(last, f"dotted: parted, {PART_M:g} m")
+        last.axhline(PART_M, color=canvas.INK, lw=0.8, ls=":")
+        canvas.write_note(last, f"dotted: parted, {PART_M:g} m")
         last.set_yscale("log")
-        last.tick_params(which="minor", colors=INK, width=0.5, length=2)
-        label_axes(last, "distance from the recommended path", y="[m]")
-    label_axes(axes[-1], x="time since the start [s]")
+        last.tick_params(which="minor", colors=canvas.INK, width=0.5, length=2)
+        canvas.label_axes(last, "distance from the recommended path", y="[m]")
+    canvas.label_axes(axes[-1], x="time since the start [s]")
     return figure
 
 

@@ -17,38 +17,10 @@ from slamfusion.evidence.recommendation import Recommendation
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io.files import write_atomic
 from slamfusion.palette import Rgb, colours_of
+from slamfusion.report import maps, page, paths
 from slamfusion.report.canvas import to_form
 from slamfusion.report.errors import drawable, error_facts, errors_section, series_picture
 from slamfusion.report.layers import error_layers, map_layers
-from slamfusion.report.maps import (
-    difference_picture,
-    error_section,
-    input_picture,
-    map_statistics,
-    yaw_pictures,
-)
-from slamfusion.report.page import (
-    NO_TABLES,
-    Banner,
-    Fact,
-    Page,
-    Picture,
-    Section,
-    tables,
-    write_page,
-)
-from slamfusion.report.paths import (
-    Line,
-    closures_picture,
-    evidence_section,
-    path_colours,
-    path_pictures,
-    paths_legend,
-    paths_picture,
-    place_lines,
-    strip_picture,
-    truth_line,
-)
 from slamfusion.slam.common.runner import ProducerRun
 from slamfusion.trajectory import Trajectory
 
@@ -60,7 +32,7 @@ def write_slam_report(
     run: ProducerRun,
     *,
     config: RunConfig,
-    facts: Sequence[Fact] = (),
+    facts: Sequence[page.Fact] = (),
     figures: Sequence[tuple[str, str]] = (),
     remarks: Sequence[tuple[str, str]] = (),
     truth: Trajectory | None = None,
@@ -83,8 +55,8 @@ def write_slam_report(
     named = replace(trajectory, name=run.name)
     measured = MeasuredPath(trajectory=named, measures=measures or Measures())
     pictures = [
-        input_picture(grid, normalize),
-        *path_pictures(
+        maps.input_picture(grid, normalize),
+        *paths.path_pictures(
             trajectory,
             config=config,
             grid=grid,
@@ -95,28 +67,30 @@ def write_slam_report(
         ),
     ]
     if run.closures:
-        pictures.append(closures_picture(trajectory, run.closures, grid=grid, normalize=normalize))
-    statistics, layers = map_statistics([grid], normalize), map_layers(grid, trajectory)
-    sections = [Section("Map and path", "", pictures, statistics, layers=layers)]
+        pictures.append(
+            paths.closures_picture(trajectory, run.closures, grid=grid, normalize=normalize)
+        )
+    statistics, layers = maps.map_statistics([grid], normalize), map_layers(grid, trajectory)
+    sections = [page.Section("Map and path", "", pictures, statistics, layers=layers)]
     sections += errors_section([measured], colours_of([run.name]))
     over_time = _series_pictures(run)
-    health = NO_TABLES
+    health = page.NO_TABLES
     if figures:
-        health += tables().texts("The run", ["what", "value"], figures)
+        health += page.tables().texts("The run", ["what", "value"], figures)
     if remarks:
-        health += tables().texts("Said of the log and its scans", ["where", "what"], remarks)
+        health += page.tables().texts("Said of the log and its scans", ["where", "what"], remarks)
     if health or over_time:
-        sections.append(Section("Health and time", "", over_time, health))
+        sections.append(page.Section("Health and time", "", over_time, health))
     judged = "its map may be wrong" if warnings else "no warning from its run"
     size = f"{len(trajectory)} poses, {trajectory.path_length_m():.1f} m"
     lines = [(f"{run.name}:", sentence) for sentence in warnings]
-    banner = Banner("warn" if warnings else "plain", f"{run.name}: {judged} ({size})", lines)
+    banner = page.Banner("warn" if warnings else "plain", f"{run.name}: {judged} ({size})", lines)
     shown = [*error_facts(measured), *facts]
-    page = Page("SLAMfusion run", banner, shown, sections, config, device)
-    return write_page(page, directory)
+    report = page.Page("SLAMfusion run", banner, shown, sections, config, device)
+    return page.write_page(report, directory)
 
 
-def _series_pictures(run: ProducerRun) -> list[Picture]:
+def _series_pictures(run: ProducerRun) -> list[page.Picture]:
     """Return the quantities over time as one picture; nothing where none has a value."""
     shown = drawable(run.series)
     if not shown:
@@ -124,7 +98,7 @@ def _series_pictures(run: ProducerRun) -> list[Picture]:
     names, path = ", ".join(item.name for item in shown), run.trajectory
     colour = colours_of([path.name])[path.name]
     figure = series_picture(shown, colours=[colour] * len(shown), start_s=float(path.stamps_s[0]))
-    return [Picture("over-time", figure, "Over the run", f"From the top: {names}.")]
+    return [page.Picture("over-time", figure, "Over the run", f"From the top: {names}.")]
 
 
 # --- paths ----------------------------------------------------------------------------------------
@@ -153,7 +127,7 @@ def write_trajectory_report(
         truth = truths.get(case)
         if len(measured) == 1:
             (item,) = measured
-            pictures = path_pictures(
+            pictures = paths.path_pictures(
                 item.trajectory,
                 config=config,
                 grid=grid,
@@ -164,7 +138,7 @@ def write_trajectory_report(
         else:
             pictures = [_paths_over_truth(case, measured, truth, colours)]
         title = f"The path{'s' if len(measured) > 1 else ''}"
-        sections.append(Section(title if is_one else f"{case}: {title}", "", pictures))
+        sections.append(page.Section(title if is_one else f"{case}: {title}", "", pictures))
         sections += errors_section(measured, colours, "" if is_one else case)
         by_path += [error_facts(item) for item in measured]
         words: dict[str, list[str]] = {}
@@ -177,12 +151,12 @@ def write_trajectory_report(
     measured = [item for own in cases.values() for item in own]
     if len(measured) == 1:
         facts += [
-            Fact(f"{measured[0].poses}", "poses"),
-            Fact(f"{measured[0].path_length_m:.1f} m", "travelled by the estimate"),
+            page.Fact(f"{measured[0].poses}", "poses"),
+            page.Fact(f"{measured[0].path_length_m:.1f} m", "travelled by the estimate"),
         ]
-    banner = Banner("plain", _headline(cases), lines)
-    page = Page("SLAMfusion trajectory", banner, facts, sections, config, "none needed")
-    return write_page(page, directory)
+    banner = page.Banner("plain", _headline(cases), lines)
+    report = page.Page("SLAMfusion trajectory", banner, facts, sections, config, "none needed")
+    return page.write_page(report, directory)
 
 
 def _paths_over_truth(
@@ -190,24 +164,24 @@ def _paths_over_truth(
     measured: Sequence[MeasuredPath],
     truth: Trajectory | None,
     colours: Mapping[str, Rgb],
-) -> Picture:
+) -> page.Picture:
     """Draw all paths of a case, each aligned with the truth as its errors are."""
     lines = []
     for item in measured:
         path = item.trajectory
         if item.measures.truth is not None:
             path = path.moved(item.measures.truth.alignment.transform)
-        lines.append(Line(path, item.name, colours[item.name], 1.0))
+        lines.append(paths.Line(path, item.name, colours[item.name], 1.0))
     marked = lines[0].path
     if truth is not None:
-        lines.append(truth_line(truth))
+        lines.append(paths.truth_line(truth))
         marked = truth
-    return Picture(
+    return page.Picture(
         f"{case}-paths",
-        paths_picture(lines, marked),
+        paths.paths_picture(lines, marked),
         f"{case}: all paths" + (" over the truth" if truth is not None else ""),
         "Each path is aligned with the truth as a whole." if truth is not None else "",
-        legend=paths_legend(lines),
+        legend=paths.paths_legend(lines),
     )
 
 
@@ -248,12 +222,12 @@ def write_evaluation_report(
         alignments: of each map with the truth, None if it was not moved; rejected ones are named at
             the top.
     """
-    section = error_section(evaluations, alignments)
+    section = maps.error_section(evaluations, alignments)
     sections = [replace(section, layers=error_layers(evaluations))]
     searched = [alignment for alignment in alignments if alignment is not None]
     if searched:
-        table = tables().alignments("Alignment to the truth", searched)
-        sections.append(Section("Alignment", "", yaw_pictures(searched), table))
+        table = page.tables().alignments("Alignment to the truth", searched)
+        sections.append(page.Section("Alignment", "", maps.yaw_pictures(searched), table))
     lost = [
         (f"{alignment.moving} could not be aligned:", alignment.reason)
         for alignment in searched
@@ -263,16 +237,16 @@ def write_evaluation_report(
     is_one = len(evaluations) == 1
     headline = f"{best.name} against {truth}" if is_one else f"{best.name} is nearest to {truth}"
     facts = [
-        Fact(
+        page.Fact(
             f"{item.error:.2f}",
             f"error of {item.name} [F16]",
             "good" if item.error == best.error and not is_one else "plain",
         )
         for item in evaluations
     ]
-    banner = Banner("warn" if lost else "good", headline, lost)
-    page = Page("SLAMfusion evaluation", banner, facts, sections, config, device)
-    return write_page(page, directory)
+    banner = page.Banner("warn" if lost else "good", headline, lost)
+    report = page.Page("SLAMfusion evaluation", banner, facts, sections, config, device)
+    return page.write_page(report, directory)
 
 
 def write_difference_image(evaluation: MapError, path: str | Path) -> None:
@@ -285,7 +259,7 @@ def write_difference_image(evaluation: MapError, path: str | Path) -> None:
     form = path.suffix.lower().removeprefix(".")
     if form not in PICTURE_FORMS:
         raise MapFileError(f"{path}: wanted a name that ends in .{', .'.join(PICTURE_FORMS)}")
-    picture = difference_picture(evaluation, None)
+    picture = maps.difference_picture(evaluation, None)
     write_atomic(path, to_form(picture.figure, form))
 
 
@@ -309,27 +283,32 @@ def write_judge_report(
         errors_m: errors in metres by kind (ATE, relations), then by path; only measured paths.
         not_measured: a sentence for each path that could not be measured.
     """
-    strip = strip_picture(answer, path_colours(answer, evidence, {}))
-    sections = [Section("Over the drive", "", [strip]), evidence_section(answer, evidence)]
+    strip = paths.strip_picture(answer, paths.path_colours(answer, evidence, {}))
+    sections = [
+        page.Section("Over the drive", "", [strip]),
+        paths.evidence_section(answer, evidence),
+    ]
     known = {name: errors for name, errors in (errors_m or {}).items() if errors}
     if known:
         sections.append(_errors_section(answer, known))
-    lines = place_lines(answer)
+    lines = paths.place_lines(answer)
     lines += [("Not measured:", sentence) for sentence in not_measured]
-    banner = Banner(answer.tone, answer.headline, [*lines, ("Log:", log)])
+    banner = page.Banner(answer.tone, answer.headline, [*lines, ("Log:", log)])
     facts = [
-        Fact(
+        page.Fact(
             f"{path.consistency:.3f}",
             f"log-likelihood of a hit, {path.name}",
             "good" if path.behind_95 is None else "plain",
         )
         for path in answer.paths
     ]
-    page = Page("SLAMfusion judge", banner, facts, sections, config, device)
-    return write_page(page, directory)
+    report = page.Page("SLAMfusion judge", banner, facts, sections, config, device)
+    return page.write_page(report, directory)
 
 
-def _errors_section(answer: Recommendation, errors_m: Mapping[str, Mapping[str, float]]) -> Section:
+def _errors_section(
+    answer: Recommendation, errors_m: Mapping[str, Mapping[str, float]]
+) -> page.Section:
     """Return the errors of the paths, in the order that the scans put them in."""
     ranks = {name: sorted(errors, key=errors.__getitem__) for name, errors in errors_m.items()}
     rows = [
@@ -344,4 +323,6 @@ def _errors_section(answer: Recommendation, errors_m: Mapping[str, Mapping[str, 
     ]
     heads = [word for name in errors_m for word in (f"#{name} [m]", "#rank")]
     what = "The order by the scans next to the errors against the truth or known relations."
-    return Section("Compared with what is known", what, tables=tables().ranks(heads, rows))
+    return page.Section(
+        "Compared with what is known", what, tables=page.tables().ranks(heads, rows)
+    )

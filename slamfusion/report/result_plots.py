@@ -14,16 +14,7 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine  # noqa: TID251
 from slamfusion.evaluation.measured import figure_of
 from slamfusion.geometry import F64
 from slamfusion.palette import Rgb, colours_of
-from slamfusion.report.canvas import (
-    DPI,
-    SMALL_PT,
-    add_legend,
-    label_axes,
-    plain_text,
-    style_axes,
-    to_form,
-    unit_rgb,
-)
+from slamfusion.report import canvas
 from slamfusion.report.errors import draw_shares
 
 # The most cases with single errors, and the most figures, that a readable picture holds.
@@ -90,7 +81,7 @@ def _plot(
     heights = [PATH_IN] * len(paths) + [panel_in] * len(figures)
     bottom = legend_in / (sum(heights) + legend_in)
     layout = ConstrainedLayoutEngine(rect=(0.0, bottom, 1.0, 1.0 - bottom))
-    sheet = Figure(figsize=(WIDTH_IN, sum(heights) + legend_in), dpi=DPI, layout=layout)
+    sheet = Figure(figsize=(WIDTH_IN, sum(heights) + legend_in), dpi=canvas.DPI, layout=layout)
     grid = sheet.add_gridspec(len(heights), 2, height_ratios=heights)
     handles: dict[str, Any] = {}
     for row, own in enumerate(paths):
@@ -100,8 +91,8 @@ def _plot(
     for row, name in enumerate(figures, start=len(paths)):
         _draw_cases(sheet.add_subplot(grid[row, :]), summaries, name, cases, colours, handles)
     shown = [name for name in names if name in handles]
-    add_legend(sheet, [handles[name] for name in shown], shown, LEGEND_COLUMNS)
-    return to_form(sheet, form)
+    canvas.add_legend(sheet, [handles[name] for name in shown], shown, LEGEND_COLUMNS)
+    return canvas.to_form(sheet, form)
 
 
 def running(at: F64, values: F64) -> tuple[F64, F64]:
@@ -124,20 +115,20 @@ def _draw_path(
     found = [(str(name), own) for name, own in errors.groupby("series", sort=False)]
     for name, own in found:
         middles, (low, median, high) = running(own["at"].to_numpy(), own["value"].to_numpy())
-        colour = unit_rgb(colours[name])
+        colour = canvas.unit_rgb(colours[name])
         along.fill_between(middles - start, low, high, color=colour, alpha=0.18, lw=0)
         (handles[name],) = along.plot(middles - start, median, color=colour, lw=1.1, label="")
         most = max(most, float(high.max()))
     draw_shares(below, [(name, own["value"].to_numpy()) for name, own in found], colours)
     for axes in (along, below):
-        style_axes(axes)
+        canvas.style_axes(axes)
         axes.grid(visible=True, lw=0.3, color="0.85")
     figure, case = errors["figure"].iloc[0], errors["case"].iloc[0]
     error = figure_of(figure).label
     travelled = "distance travelled [m]" if figure.startswith("rpe") else "time since the start [s]"
     along.set_ylim(min(0.0, float(errors["value"].min())), 1.05 * most or 1.0)
-    label_axes(along, f"{case}: running median, band 10 to 90 %", travelled, error)
-    label_axes(below, "", error, "share of errors below")
+    canvas.label_axes(along, f"{case}: running median, band 10 to 90 %", travelled, error)
+    canvas.label_axes(below, "", error, "share of errors below")
 
 
 def _draw_cases(
@@ -159,17 +150,19 @@ def _draw_cases(
             values["mean"],
             [cases.index(case) + shift for case in values.index],
             xerr=values["std"].fillna(0.0),
-            color=unit_rgb(colours[name]),
+            color=canvas.unit_rgb(colours[name]),
             marker=MARKERS[nth % len(MARKERS)],
             ls="",
             ms=3.5,
             elinewidth=0.8,
             capsize=2.0,
         )
-    style_axes(axes)
-    axes.set_yticks(np.arange(len(cases)), [plain_text(case) for case in cases], fontsize=SMALL_PT)
+    canvas.style_axes(axes)
+    axes.set_yticks(
+        np.arange(len(cases)), [canvas.plain_text(case) for case in cases], fontsize=canvas.SMALL_PT
+    )
     axes.set_ylim(len(cases) - 0.5, -0.5)
     axes.grid(visible=True, axis="x", lw=0.3, color="0.85")
     shown = figure_of(figure)
     way = {True: " (larger is better)", False: " (smaller is better)", None: ""}
-    label_axes(axes, x=shown.label + way[shown.larger_is_better])
+    canvas.label_axes(axes, x=shown.label + way[shown.larger_is_better])
