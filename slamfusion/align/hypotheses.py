@@ -406,15 +406,16 @@ def estimate_scale(pair: Pair, motion: F64, reading: Reading, others: F64) -> fl
     motions, scales, reaches = (np.array(column) for column in zip(*found, strict=True))
     best = int(np.argmax(weigh(pair, motions, reading, scales).total))
     scale = float(scales[best])
+    # A scale that moves common walls by less than half their width cannot be distinguished from 1.
+    if abs(scale - 1.0) * reaches[best] < 0.5 * narrow:
+        return 1.0
     both = wall_pieces(
         pair, np.stack((motions[best], motion)), narrow, scales=np.array([scale, 1.0])
     )
     # A smaller gain of one of several scales is chance.
     pieces = float(both.count(both.weighed[0] - both.weighed[1]))
-    is_better = expected_wrong(pieces, TRIALS) < 1.0
-    is_better = is_better and both.share()[0] >= STOREYS_SHARE
-    # A scale that moves common walls by less than half their width cannot be distinguished from 1.
-    return scale if is_better and abs(scale - 1.0) * reaches[best] >= 0.5 * narrow else 1.0
+    is_better = expected_wrong(pieces, TRIALS) < 1.0 and both.share()[0] >= STOREYS_SHARE
+    return scale if is_better else 1.0
 
 
 def _scaled(pair: Pair, motion: F64, reading: Reading) -> tuple[F64, float, float]:

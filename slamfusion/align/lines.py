@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -23,8 +24,8 @@ import scipy
 
 from slamfusion.geometry import F64
 
-# Pairs of pieces that are compared at once.
-COMPARED = 1 << 20
+# Pairs of pieces that are compared at once: they fit into the processor's cache.
+COMPARED = 1 << 17
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,13 +37,43 @@ class PieceLines:
         across: (B, 2) the unit vector across its wall.
         straight: (B,) from 0 for a crooked piece to 1 for a straight one: 1 less the ratio of the
             spreads of its points across and along.
-        alike: (B, B) sparse, the correlation of the fits of two pieces.
+        squares, width, apart: see ``piece_lines``.
     """
 
     middles: F64
     across: F64
     straight: F64
-    alike: Any
+    squares: npt.NDArray[np.int64]
+    width: float
+    apart: int
+
+    @cached_property
+    def alike(self) -> Any:
+        """(B, B) sparse, the correlation of the fits of two pieces."""
+        count, squares = len(self.squares), self.squares
+        some = max(1, COMPARED // max(1, count))
+        (x, y), (to_x, to_y) = (of.T.astype(np.float32) for of in (self.middles, self.across))
+        at = to_x * x + to_y * y
+        cols, rows = squares.T.astype(np.int16)
+        # Farther off it is less than a hundredth.
+        limit = 6.1 * self.width
+        found = [np.empty(0, np.intp)]
+        for first in range(0, count, some):
+            own = slice(first, first + some)
+            # Products of such thin matrices only make the threads of BLAS wait.
+            is_near = np.abs(to_x[own, None] * x + to_y[own, None] * y - at[own, None]) < limit
+            is_near &= np.abs(x[own, None] * to_x + y[own, None] * to_y - at) < limit
+            is_next = np.abs(cols[own, None] - cols) < self.apart
+            is_near |= is_next & (np.abs(rows[own, None] - rows) < self.apart)
+            found.append(np.flatnonzero(is_near) + first * count)
+        a, b = np.divmod(np.concatenate(found), max(1, count))
+        near = np.clip(1.0 - np.abs(squares[a] - squares[b]) / self.apart, 0.0, None).prod(axis=1)
+        between = self.middles[a] - self.middles[b]
+        off = np.maximum(*(np.abs((between * self.across[one]).sum(axis=1)) for one in (a, b)))
+        line = self.straight[a] * self.straight[b] * np.exp(-0.5 * (off / (2.0 * self.width)) ** 2)
+        both = np.maximum(near, line)
+        kept = both >= 0.01
+        return scipy.sparse.csr_array((both[kept], (a[kept], b[kept])), shape=(count, count))
 
     def left(self, evidence: F64) -> F64:
         """Return (B,) the share of each piece that a motion fitted to this evidence (B,) leaves."""
@@ -94,37 +125,4 @@ def piece_lines(
     straight = np.where(counts > 2, 1.0 - np.sqrt(spread), 0.0)
     angle = np.arctan2(2.0 * xy, xx - yy) / 2.0
     across = np.stack((-np.sin(angle), np.cos(angle)), axis=1)
-    alike = _alike(squares, middles, across, straight, width, apart)
-    return PieceLines(middles, across, straight, alike)
-
-
-def _alike(
-    squares: npt.NDArray[np.int64],
-    middles: F64,
-    across: F64,
-    straight: F64,
-    width: float,
-    apart: int,
-) -> Any:
-    """Return the correlations (B, B), sparse; see ``PieceLines``."""
-    count = len(squares)
-    some = max(1, COMPARED // max(1, count))
-    places, ways = middles.astype(np.float32), across.astype(np.float32)
-    cols, rows = squares.T.astype(np.int16)
-    found = [np.empty((0, 2), np.intp)]
-    for first in range(0, count, some):
-        own = slice(first, first + some)
-        off = ways[own] @ places.T - (ways[own] * places[own]).sum(axis=1)[:, None]
-        is_near = np.abs(cols[own, None] - cols) < apart
-        is_near &= np.abs(rows[own, None] - rows) < apart
-        # Farther off it is less than a hundredth.
-        found.append(np.argwhere((np.abs(off) < 6.1 * width) | is_near))
-        found[-1][:, 0] += first
-    a, b = np.concatenate(found).T
-    near = np.clip(1.0 - np.abs(squares[a] - squares[b]) / apart, 0.0, None).prod(axis=1)
-    between = middles[a] - middles[b]
-    off = np.maximum(*(np.abs((between * across[at]).sum(axis=1)) for at in (a, b)))
-    line = straight[a] * straight[b] * np.exp(-0.5 * (off / (2.0 * width)) ** 2)
-    both = np.maximum(near, line)
-    kept = both >= 0.01
-    return scipy.sparse.csr_array((both[kept], (a[kept], b[kept])), shape=(count, count))
+    return PieceLines(middles, across, straight, squares, width, apart)
