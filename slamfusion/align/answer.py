@@ -34,7 +34,7 @@ from slamfusion.align.pair import Pair
 from slamfusion.align.records import Alignment, RunnerUp
 from slamfusion.align.refine import climbed, narrow_fits, refine
 from slamfusion.align.scores import count_met, rank
-from slamfusion.align.search import CoarseSearch, SearchResult, meeting_cells, prior_within, search
+from slamfusion.align.search import SearchResult, meeting_cells, prior_within, search
 from slamfusion.align.shifts import SearchWindow
 from slamfusion.config import AlignConfig
 from slamfusion.geometry import F64, Pose2, wrap_angle
@@ -73,6 +73,12 @@ def conclude(
         pair, config, found, answer, chances, best, statistics=statistics, runner_up=runner_up
     )
     statistics.pop("overlap")
+    profile = None
+    if found.coarse is not None:
+        turn = pair.reference.grid.grid.origin.yaw_rad - pair.moving.grid.grid.origin.yaw_rad
+        yaws = np.array([wrap_angle(float(yaw) + turn) for yaw in found.coarse.yaws])
+        order = np.argsort(yaws)
+        profile = np.stack((yaws[order], found.coarse.best[order]), axis=1)
     return Alignment(
         moving=pair.moving.grid.name,
         reference=pair.reference.grid.name,
@@ -85,7 +91,7 @@ def conclude(
         runner_up=runner_up,
         time_s=time.perf_counter() - began,
         statistics=statistics,
-        yaw_profile=None if found.coarse is None else _profile(pair, found.coarse),
+        yaw_profile=profile,
         evidence=evidence,
         decision=decision.kind,
     )
@@ -198,14 +204,6 @@ def _placed(pair: Pair, found: SearchResult, answer: Answer) -> tuple[F64, dict[
     return best, statistics
 
 
-def _profile(pair: Pair, coarse: CoarseSearch) -> F64:
-    """Return (K, 2) yaw of the map-frame transform, sorted, and the best coarse score there."""
-    turn = pair.reference.grid.grid.origin.yaw_rad - pair.moving.grid.grid.origin.yaw_rad
-    yaws = np.array([wrap_angle(float(yaw) + turn) for yaw in coarse.yaws])
-    order = np.argsort(yaws)
-    return np.stack((yaws[order], coarse.best[order]), axis=1)
-
-
 def measure(pair: Pair, motion: F64) -> dict[str, float]:
     """Return the statistics of a motion.
 
@@ -228,7 +226,12 @@ def measure(pair: Pair, motion: F64) -> dict[str, float]:
     )
     chance = [other.near_wall_share(limits2[0]) for other in pair]
     smaller = 0 if len(pair.moving.wall_points) <= len(pair.reference.wall_points) else 1
-    overlap, error = _overlap_and_error(pair, motion)
+    # Common known cells, and the [F16] error over the reference's box.
+    _, (_, back, _) = pair.sides(motion[None])
+    pose = back[:, 0].astype(np.int64)
+    common = pair.device.confusion(pair.reference.cells, pair.moving.cells, pose)
+    least = max(1, min(pair.reference.known_cells, pair.moving.known_cells))
+    squares = np.array([[0, 1, 4], [1, 0, 1], [4, 1, 0]])
     return {
         "wall_match": float(min(match)),
         "wall_match_moving": float(match[0]),
@@ -239,17 +242,6 @@ def measure(pair: Pair, motion: F64) -> dict[str, float]:
         "chance": float(max(chance)),
         "explained": float(match[smaller]),
         "explained_by_chance": float(chance[smaller]),
-        "overlap": overlap,
-        "error": error,
+        "overlap": min(1.0, float(common[1:, 1:].sum()) / least),
+        "error": math.sqrt(float((common * squares).sum())),
     }
-
-
-def _overlap_and_error(pair: Pair, motion: F64) -> tuple[float, float]:
-    """Return the share of common known cells, and the [F16] error over the reference's box."""
-    _, (_, back, _) = pair.sides(motion[None])
-    pose = back[:, 0].astype(np.int64)
-    counts = pair.device.confusion(pair.reference.cells, pair.moving.cells, pose)
-    both = float(counts[1:, 1:].sum())
-    smaller = max(1, min(pair.reference.known_cells, pair.moving.known_cells))
-    squares = np.array([[0, 1, 4], [1, 0, 1], [4, 1, 0]])
-    return min(1.0, both / smaller), math.sqrt(float((counts * squares).sum()))

@@ -414,12 +414,25 @@ def facings(cells: npt.NDArray[np.int8], resolution: float) -> npt.NDArray[np.ui
         or on none: a map that saw a wall from both sides contradicts none of those that saw one.
     """
     side = max(1, round(FACING_REACH_M / resolution / REACH_SQUARES))
-    x, y = _clearer(_free_shares(cells, side))
+    height, width = cells.shape
+    free = cv2.copyMakeBorder(
+        (cells == 0).view(np.uint8) * np.uint8(255), 0, -height % side, 0, -width % side,
+        cv2.BORDER_CONSTANT, value=(0,),
+    )  # fmt: skip
+    size = free.shape[1] // side, free.shape[0] // side
+    share = cv2.resize(free, size, interpolation=cv2.INTER_AREA) * np.float32(1 / 255)
+    # How much more free space lies to the right and above, as a share of half of the ground.
+    half = REACH_SQUARES * (2 * REACH_SQUARES + 1)
+    sign = np.repeat(np.array([-1, 0, 1], dtype=np.float32), [REACH_SQUARES, 1, REACH_SQUARES])
+    one = np.ones_like(sign) / half
+    x, y = (
+        cv2.sepFilter2D(share, -1, across, along, borderType=cv2.BORDER_CONSTANT)
+        for across, along in ((sign, one), (one, sign))
+    )
     much, angle = (np.asarray(part, dtype=np.float32) for part in cv2.cartToPolar(x, y))
     parts = (angle * np.float32(FACING_PARTS / (2.0 * np.pi)) + np.float32(0.5)).astype(np.uint8)
     way = parts & np.uint8(FACING_PARTS - 1) | np.uint8(FACES)
     faces = np.where(much >= CLEARER, way, np.uint8(0))
-    height, width = cells.shape
     out = cv2.resize(faces, None, fx=side, fy=side, interpolation=cv2.INTER_NEAREST)
     return np.ascontiguousarray(out[:height, :width])
 
@@ -453,32 +466,6 @@ def wall_directions(solid: npt.NDArray[np.uint8]) -> npt.NDArray[np.float64]:
     smooth -= smooth.mean()
     length = float(np.linalg.norm(smooth))
     return np.asarray(smooth / length if length > 0.0 else smooth)
-
-
-def _free_shares(cells: npt.NDArray[np.int8], side: int) -> npt.NDArray[np.float32]:
-    """Return (h, w) the share of free cells of each square, ``side`` cells wide."""
-    height, width = cells.shape
-    free = (cells == 0).view(np.uint8) * np.uint8(255)
-    padded = cv2.copyMakeBorder(
-        free, 0, -height % side, 0, -width % side, cv2.BORDER_CONSTANT, value=(0,)
-    )
-    size = padded.shape[1] // side, padded.shape[0] // side
-    share = cv2.resize(padded, size, interpolation=cv2.INTER_AREA)
-    return np.asarray(share * np.float32(1 / 255))
-
-
-def _clearer(
-    free: npt.NDArray[np.float32],
-) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
-    """Return how much more free space lies to the right and above (a share of half of it)."""
-    half = REACH_SQUARES * (2 * REACH_SQUARES + 1)
-    sign = np.repeat(np.array([-1, 0, 1], dtype=np.float32), [REACH_SQUARES, 1, REACH_SQUARES])
-    one = np.ones_like(sign) / half
-    x, y = (
-        cv2.sepFilter2D(free, -1, across, along, borderType=cv2.BORDER_CONSTANT)
-        for across, along in ((sign, one), (one, sign))
-    )
-    return np.asarray(x), np.asarray(y)
 
 
 class FieldMemory:

@@ -30,7 +30,7 @@ from slamfusion.align.decide import (
     expected_wrong,
     odds,
 )
-from slamfusion.align.features import GridFeatures, spread_sample
+from slamfusion.align.features import spread_sample
 from slamfusion.align.likelihood import likeness
 from slamfusion.align.pair import Pair, displacement
 from slamfusion.align.refine import common_walls, narrow_fits
@@ -341,7 +341,16 @@ def hit_share(pair: Pair, motion: F64) -> float:
     The other walls lie anywhere on the other map's known ground. 0 if one of two narrower widths is
     more likely.
     """
-    met = [(side[2], _distances2(*side)) for side in pair.sides(motion[None])]
+    met = []
+    for own, moved, other in pair.sides(motion[None]):
+        # Walls on ground that the other map knows, by squared distance to its walls.
+        x, y = spread_sample(own.level(1).points, SCORED_POINTS).astype(np.int64).T
+        rows, cols = fixed_cells(moved[:, 0].astype(np.int64), x, y)
+        height, width = other.shape
+        inside = (rows >= 0) & (cols >= 0) & (rows < height) & (cols < width)
+        at = rows[inside], cols[inside]
+        distance2 = other.level(1).host_distance2
+        met.append((other, np.bincount(distance2[at][other.grid.cells[at] >= 0], minlength=1)))
     best = []
     for widths in (0.5, 1.0, READINGS["bent"].widths):
         sigma = widths * pair.widths[0]
@@ -351,17 +360,6 @@ def hit_share(pair: Pair, motion: F64) -> float:
             likely += np.log(1.0 + HIT_SHARES[:, None] * (gain - 1.0)) @ counts
         best.append((float(likely.max()), float(HIT_SHARES[likely.argmax()])))
     return best[-1][1] if max(best)[0] == best[-1][0] else 0.0
-
-
-def _distances2(own: GridFeatures, motion: F64, other: GridFeatures) -> npt.NDArray[np.int64]:
-    """Return (N,) walls on ground that the other map knows, by squared distance to its walls."""
-    x, y = spread_sample(own.level(1).points, SCORED_POINTS).astype(np.int64).T
-    rows, cols = fixed_cells(motion[:, 0].astype(np.int64), x, y)
-    height, width = other.shape
-    inside = (rows >= 0) & (cols >= 0) & (rows < height) & (cols < width)
-    at = rows[inside], cols[inside]
-    distance2 = other.level(1).host_distance2
-    return np.bincount(distance2[at][other.grid.cells[at] >= 0], minlength=1)
 
 
 def mirror_gain(

@@ -123,7 +123,15 @@ def settle(pair: Pair, motions: F64) -> F64:
     middle of a thick one.
     """
     motions = refine(pair, motions, 1, (12.0, 8.0), points=FINE_POINTS)
-    spread = _surface_distance(pair, motions)
+    # The median distance in cells, rounded up, of surfaces with one within 8 cells.
+    samples = [
+        spread_sample(own.level(1).points, SPREAD_POINTS) for own in (pair.moving, pair.reference)
+    ]
+    counts = count_met(pair, motions, samples, [r * r for r in (*SURFACE_RADII, 8)])
+    near = (counts[0] + counts[1])[:, 2 : 3 + len(SURFACE_RADII)].T
+    reached = 2.0 * near[:-1] >= near[-1]
+    reached[-1] = True
+    spread = np.array(SURFACE_RADII, dtype=np.float64)[reached.argmax(axis=0)]
     return refine(pair, motions, 1, (SCALE_SPREAD * spread,), points=FINE_POINTS, solid=True)
 
 
@@ -142,18 +150,6 @@ def are_as_thick(pair: Pair) -> bool:
     """Whether both maps draw walls about equally thick, so that their surfaces can meet."""
     thick = [len(grid.wall_points) / max(1, len(grid.level(1).points)) for grid in pair]
     return max(thick) <= THICKER * min(thick)
-
-
-def _surface_distance(pair: Pair, motions: F64) -> F64:
-    """Return (P,) the median distance in cells, rounded up, of surfaces with one within 8 cells."""
-    samples = [
-        spread_sample(own.level(1).points, SPREAD_POINTS) for own in (pair.moving, pair.reference)
-    ]
-    counts = count_met(pair, motions, samples, [r * r for r in (*SURFACE_RADII, 8)])
-    near = (counts[0] + counts[1])[:, 2 : 3 + len(SURFACE_RADII)].T
-    reached = 2.0 * near[:-1] >= near[-1]
-    reached[-1] = True
-    return np.asarray(np.array(SURFACE_RADII, dtype=np.float64)[reached.argmax(axis=0)])
 
 
 def narrow_fits(pair: Pair, motions: F64) -> F64:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import time
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
@@ -44,30 +44,21 @@ POINTS = 4096
 ROUNDS, SETTLED_WITHIN, LAST_STEP = 4, 0.002, 1.0 / 16.0
 
 
-@dataclass(frozen=True)
-class ScaledAlignment:
-    """A map of unknown scale, aligned.
-
-    Attributes:
-        scale: by which the moving map's cells are larger than it says.
-        alignment: of the moving map with such cells; it may be used only where it is accepted.
-    """
-
-    scale: float
-    alignment: Alignment
-
-
 def align_at_any_scale(
     reference: OccupancyGrid,
     moving: OccupancyGrid,
     config: FusionConfig,
     device: ComputeDevice,
     scales: tuple[float, float],
-) -> ScaledAlignment:
+) -> tuple[float, Alignment]:
     """Align a map whose scale is not known.
 
     Args:
         scales: the least and the greatest factor on the resolution of ``moving``.
+
+    Returns:
+        By which the moving map's cells are larger than it says, and the alignment with such cells,
+        which may be used only where it is accepted.
 
     Raises:
         ConfigError: the factors are not positive or not in order.
@@ -81,20 +72,19 @@ def align_at_any_scale(
         raise ConfigError(message)
     search = _ScaleSearch(moving, scales, config, device)
     gains = search.gains(reference)
-    found = search.best(reference, gains)
-    alignment = found.alignment
+    scale, alignment = search.best(reference, gains)
     if not alignment.accepted:
         image = replace(reference, cells=np.ascontiguousarray(reference.cells[:, ::-1]))
         of_image = search.gains(image)
-        mirrored = search.best(image, of_image) if of_image.max() > gains.max() else found
-        if mirrored.alignment.accepted:
-            reason = (
-                f"{moving.name} fits only as its mirror image (at {mirrored.scale:.3g} times its "
-                "scale): was it drawn or printed mirrored?"
-            )
-            alignment = replace(alignment, reason=reason, decision="mirrored")
-    alignment = replace(alignment, time_s=time.perf_counter() - began)
-    return replace(found, alignment=alignment)
+        if of_image.max() > gains.max():
+            drawn_at, mirrored = search.best(image, of_image)
+            if mirrored.accepted:
+                reason = (
+                    f"{moving.name} fits only as its mirror image (at {drawn_at:.3g} times its "
+                    "scale): was it drawn or printed mirrored?"
+                )
+                alignment = replace(alignment, reason=reason, decision="mirrored")
+    return scale, replace(alignment, time_s=time.perf_counter() - began)
 
 
 def wrong_resolution(
@@ -106,10 +96,10 @@ def wrong_resolution(
     """
     search = _ScaleSearch(moving, (1.0 / FACTOR, FACTOR), config, device)
     with suppress(MemoryBudgetError):
-        found = search.best(reference, search.gains(reference))
-        if found.alignment.accepted and abs(found.scale - 1.0) >= SCALE_MAX:
+        scale, alignment = search.best(reference, search.gains(reference))
+        if alignment.accepted and abs(scale - 1.0) >= SCALE_MAX:
             return (
-                f"{moving.name}: its resolution should be {moving.resolution * found.scale:.3g} m, "
+                f"{moving.name}: its resolution should be {moving.resolution * scale:.3g} m, "
                 f"it says {moving.resolution:.3g} m (if that of {reference.name} is right)"
             )
     return None
@@ -130,24 +120,23 @@ class _ScaleSearch:
         self.scales = np.geomspace(*scales, count)
         self._drawn: dict[float, GridFeatures] = {}
 
-    def best(self, reference: OccupancyGrid, gains: F64) -> ScaledAlignment:
+    def best(self, reference: OccupancyGrid, gains: F64) -> tuple[float, Alignment]:
         """Align at the scales with the highest gains, and settle the best on ``reference``."""
         cell = self.config.normalize.resolution or reference.resolution
         seen = self._ready(reference, max(cell, TRIED_CELL_M))
         tries = [self._aligned(seen, scale) for scale in self.scales[_peaks(gains)].tolist()]
-        pair, best = min(tries, key=lambda one: _standing(one[1].alignment))
+        scale, best, pair = min(tries, key=lambda one: _standing(one[1]))
         seen, settled = self._ready(reference, cell), []
         for _ in range(ROUNDS):
-            evidence = best.alignment.evidence
-            better = None if evidence is None else evidence.scale
+            better = None if best.evidence is None else best.evidence.scale
             if better is None or better == 1.0:
-                better = best_scale(pair, pair.motion_of(best.alignment.transform))
-            better = np.clip(best.scale * better, *self.scales[[0, -1]]).item() / best.scale
+                better = best_scale(pair, pair.motion_of(best.transform))
+            better = np.clip(scale * better, *self.scales[[0, -1]]).item() / scale
             if abs(better - 1.0) < SETTLED_WITHIN and pair.reference is seen:
                 break
-            pair, best = self._aligned(seen, best.scale * better)
-            settled.append(best)
-        return min(settled, key=lambda one: _standing(one.alignment))
+            scale, best, pair = self._aligned(seen, scale * better)
+            settled.append((scale, best))
+        return min(settled, key=lambda one: _standing(one[1]))
 
     def gains(self, reference: OccupancyGrid) -> F64:
         """Return the most evidence of any place on the reference at each scale, nats and metres."""
@@ -160,14 +149,14 @@ class _ScaleSearch:
             found.append(shifts.best_two()[0] * shifts.step * RANKED_CELL_M)
         return np.array(found)
 
-    def _aligned(self, reference: GridFeatures, scale: float) -> tuple[Pair, ScaledAlignment]:
+    def _aligned(self, reference: GridFeatures, scale: float) -> tuple[float, Alignment, Pair]:
         """Align the plan at a scale on the reference's cells."""
         plan = scaled(self.plan, scale)
         check_resampling([reference.grid.grid, plan], self.config.normalize, "aligning")
         pair = Pair(reference, self._ready(plan, reference.grid.grid.resolution))
         count = len(self.scales)
         alignment = align_pair(pair, self.config.align, None, count, thorough=False)
-        return pair, ScaledAlignment(scale, alignment)
+        return scale, alignment, pair
 
     def _ready(self, grid: OccupancyGrid, cell: float) -> GridFeatures:
         normalized = normalize_grid(grid, cell, self.config.normalize, self.device)
@@ -179,15 +168,11 @@ def scaled(grid: OccupancyGrid, scale: float) -> OccupancyGrid:
     return replace(grid, resolution=grid.resolution * scale)
 
 
-def _is_here(alignment: Alignment) -> bool:
-    """Whether an alignment is accepted, or would be at a nearby scale."""
-    return alignment.decision in {"accepted", "other scale"}
-
-
 def _standing(alignment: Alignment) -> tuple[bool, float]:
-    """Sort key: right alignments first, then by expected wrong answers."""
+    """Sort key: those accepted here or at a nearby scale first, then by expected wrong answers."""
+    is_here = alignment.decision in {"accepted", "other scale"}
     evidence = alignment.evidence
-    return not _is_here(alignment), math.inf if evidence is None else evidence.expected_wrong
+    return not is_here, math.inf if evidence is None else evidence.expected_wrong
 
 
 def _peaks(gains: F64) -> npt.NDArray[np.intp]:

@@ -291,22 +291,18 @@ def fixed_step_search(pair: Pair, step: int, window: SearchWindow) -> F64:
                 "step, or a narrower window (window_m, window_yaw_rad)"
             )
         grid = np.stack(np.meshgrid(shifts, shifts, turns, indexing="ij"), axis=-1).reshape(-1, 3)
-        best = _least_error(pair, best + grid, max(1, step // 2))
+        motions, errors = best + grid, []
+        for start in range(0, count, POSES_BATCH):
+            _, (_, back, _) = pair.sides(motions[start : start + POSES_BATCH])
+            poses = back.T.astype(np.int64)
+            cells = pair.reference.cells, pair.moving.cells
+            errors.append(pair.device.squared_error(*cells, poses, max(1, step // 2)))
+        # Of equals the first.
+        best = np.asarray(motions[int(np.argmin(np.concatenate(errors)))])
         if step == 1:
             return best
         reach, turn = float(step), float(step)
         step = max(1, step // 2)
-
-
-def _least_error(pair: Pair, motions: F64, stride: int) -> F64:
-    """Return the motion of least error; of equals the first."""
-    errors = []
-    for start in range(0, len(motions), POSES_BATCH):
-        _, (_, back, _) = pair.sides(motions[start : start + POSES_BATCH])
-        poses = back.T.astype(np.int64)
-        cells = pair.reference.cells, pair.moving.cells
-        errors.append(pair.device.squared_error(*cells, poses, stride))
-    return np.asarray(motions[int(np.argmin(np.concatenate(errors)))])
 
 
 @dataclass(frozen=True, eq=False)

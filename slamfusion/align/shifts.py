@@ -249,21 +249,14 @@ class _ShiftSurface:
         return np.stack(sides, axis=1).astype(np.int32)
 
 
-def parallel_step(longest: float, resolution: float) -> int:
-    """Return the fine cells per cell on which shifts at parallel walls are compared.
-
-    ``longest`` is in fine cells, ``resolution`` in metres per fine cell.
-    """
-    widest = max(CELL_MAX_M / resolution, longest / (PARALLEL_CELLS * GROWTH_MAX))
+def parallel_shifts(pair: Pair) -> ShiftScores:
+    """Score every shift of one map over another at the yaws at which their walls are parallel."""
+    longest = pair.longest
+    widest = max(CELL_MAX_M / pair.resolution, longest / (PARALLEL_CELLS * GROWTH_MAX))
     least = max(1.0, min(longest / PARALLEL_CELLS, widest))
     # One that other pairs share.
     power = math.ceil(math.log(least, STEP_GROWTH) - 1e-9)
-    return math.ceil(STEP_GROWTH**power)
-
-
-def parallel_shifts(pair: Pair) -> ShiftScores:
-    """Score every shift of one map over another at the yaws at which their walls are parallel."""
-    step = parallel_step(pair.longest, pair.resolution)
+    step = math.ceil(STEP_GROWTH**power)
     turns = np.radians(parallel_yaws(pair.reference.directions(), pair.moving.directions()))
     return score_shifts(
         pair, step, SearchWindow(), np.append(turns, turns + math.pi), PARALLEL_POINTS

@@ -89,11 +89,11 @@ class Starts:
         """Return where the frame of ``moving`` is expected in ``reference``'s; None: unknown."""
         if not {reference, moving} & set(self.given):
             return self.pairs.get((reference, moving))
-        still, moved = (self._start(name) for name in (reference, moving))
+        still, moved = (
+            self.given.get(name, _ORIGIN if name in self.frame else None)
+            for name in (reference, moving)
+        )
         return None if still is None or moved is None else moved.seen_from(still)
-
-    def _start(self, name: str) -> StartPose | None:
-        return self.given.get(name, _ORIGIN if name in self.frame else None)
 
 
 def named_input(wanted: str | None, names: Sequence[str]) -> str | None:
@@ -150,23 +150,16 @@ def place_starts(
     if len(given) != 1 or len(inputs) < PAIR:
         return Starts(given)
     (only,) = given
-    frame = _frame(only, inputs, reference, drive)
+    # The others at the origin of the frame that a single start is told in.
+    named = named_input(reference, inputs)
+    if named is not None and named in inputs and named != only and named not in drive:
+        return Starts(given, frozenset({named}))
+    frame = frozenset(drive) - {only}
+    if not frame and len(inputs) == PAIR:
+        frame = frozenset(inputs) - {only}
     if not frame:
         raise StartError(
             f"the start of {only!r} alone says nothing of where it lies to the other "
             f"{len(inputs) - 1} inputs; give one of theirs too, or name the reference"
         )
     return Starts(given, frame)
-
-
-def _frame(
-    only: str, inputs: Sequence[str], reference: str | None, drive: Collection[str]
-) -> frozenset[str]:
-    """Return the inputs at the origin of the frame that a single start is told in."""
-    named = named_input(reference, inputs)
-    if named is not None and named in inputs and named != only and named not in drive:
-        return frozenset({named})
-    others = frozenset(drive) - {only}
-    if not others and len(inputs) == PAIR:
-        others = frozenset(inputs) - {only}
-    return others

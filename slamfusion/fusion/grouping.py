@@ -202,13 +202,44 @@ class GroupSearch:
                     links.update((a, b))
 
     def solved(self, group: tuple[str, ...]) -> MapGroup:
-        """Return the poses of a group by all its links; maps that do not fit are left out."""
-        links = self.graph.links_inside(group)
-        poses, out = solve_poses(group, self.graph.poses(group), links, self.features)
-        for pair in out:
-            why = "taken back: the other alignments together contradict it"
-            self.graph.false[key_of(pair)] = why
-        return MapGroup(group, math.fsum(pair.score for pair in links), poses)
+        """Return the poses of a group that fit all its links best; links that do not fit are false.
+
+        Source: ``pose_graph.robust``, graduated non-convexity.
+        """
+        links, start = self.graph.links_inside(group), self.graph.poses(group)
+        score = math.fsum(pair.score for pair in links)
+        if len(links) < len(group):
+            return MapGroup(group, score, start)
+        number = {name: index for index, name in enumerate(group)}
+        middles = {name: Pose2(*self.features[name].middle) for name in group}
+        motions, covariances = [], []
+        for pair in links:
+            motion = middles[pair.reference].inverse().compose(pair.transform)
+            motion = motion.compose(middles[pair.moving])
+            between = motion.inverse()
+            covariance = np.diag([SHIFT_SIGMA_M, SHIFT_SIGMA_M, YAW_SIGMA_RAD]) ** 2
+            way = -0.5 * np.array([[between.x, between.y]])
+            covariances.append(moved(covariance[None], way)[0])
+            motions.append(row_of(motion))
+        information = inverted(np.array(covariances))
+        graph = PoseGraph(
+            poses=np.array([row_of(start[name].compose(middles[name])) for name in group]),
+            edges=np.array([(number[pair.reference], number[pair.moving]) for pair in links]),
+            motions=np.array(motions),
+            information=0.5 * (information + information.transpose(0, 2, 1)),
+            is_closure=np.ones(len(links), dtype=np.bool_),
+        )
+        solved = optimize(graph, robust="gnc", start="given")
+        for pair, is_out in zip(links, solved.is_outlier, strict=True):
+            if is_out:
+                why = "taken back: the other alignments together contradict it"
+                self.graph.false[key_of(pair)] = why
+        poses = {
+            name: pose_of(row).compose(middles[name].inverse())
+            for name, row in zip(group, solved.poses, strict=True)
+        }
+        first = poses[group[0]].inverse()
+        return MapGroup(group, score, {name: first.compose(pose) for name, pose in poses.items()})
 
     def told(self) -> list[Alignment]:
         """Return every examined pair with its final decision."""
@@ -357,23 +388,22 @@ class ImpliedPairs:
     def look(self, reference: str, moving: str, transform: Pose2) -> Implied:
         """Return the evidence of walls for an implied transform, metres."""
         key = reference, moving, transform
-        if key not in self.seen:
-            self.seen[key] = self._look(reference, moving, transform)
-        return self.seen[key]
-
-    def _look(self, still: str, moved: str, transform: Pose2) -> Implied:
-        pair = Pair(self.features[still], self.features[moved])
+        if key in self.seen:
+            return self.seen[key]
+        pair = Pair(self.features[reference], self.features[moving])
         found = track_pair(pair, transform, self.pairs)
-        little = ""
-        if found.overlap < MUCH_GROUND:
-            little = f"{found.overlap:.0%} of the ground in common"
-        evidence = found.evidence
-        if evidence is None:
-            return Implied(found, bool(little), little or "no walls")
-        went = is_distinct(pair.motion_of(found.transform), pair.motion_of(transform))
-        words = f"{evidence.share:.0%} of what {evidence.common_m:.0f} m of common walls could give"
-        is_supported = found.accepted and not went
-        return Implied(found, is_supported or bool(little), little or words, is_supported)
+        evidence, is_supported, words = found.evidence, False, "no walls"
+        if evidence is not None:
+            went = is_distinct(pair.motion_of(found.transform), pair.motion_of(transform))
+            is_supported = found.accepted and not went
+            words = (
+                f"{evidence.share:.0%} of what {evidence.common_m:.0f} m of common walls could give"
+            )
+        is_little = found.overlap < MUCH_GROUND
+        if is_little:
+            words = f"{found.overlap:.0%} of the ground in common"
+        self.seen[key] = Implied(found, is_supported or is_little, words, is_supported)
+        return self.seen[key]
 
 
 # The names of two maps.
@@ -496,16 +526,13 @@ class AlignmentGraph:
             if strength[key] <= limit:
                 self.links.pop(key, None)
                 self.false[key] = "taken back: loops over other maps do not close with it"
-        self._rebuild()
-        return True
-
-    def _rebuild(self) -> None:
-        """Rebuild the trees, without the contradictions of the old ones."""
+        # New trees, without the contradictions of the old ones.
         self._tree = {name: {} for name in self.names}
         self._group = {name: index for index, name in enumerate(self.names)}
         self.against.clear()
         for pair in self.links.values():
             self._grow_tree(pair)
+        return True
 
     def _grow_tree(self, pair: Alignment) -> None:
         a, b = pair.reference, pair.moving
@@ -534,52 +561,6 @@ def rank_pairs(maps: Mapping[str, GridFeatures]) -> list[Candidate]:
         top, second = (max(evidence, 1.0) for evidence in parallel_shifts(pair).best_two())
         pairs.append(Candidate(a, b, top / second, (top - second) / math.sqrt(second)))
     return sorted(pairs, key=lambda pair: -pair.lead)
-
-
-def solve_poses(
-    group: Sequence[str],
-    start: Mapping[str, Pose2],
-    links: Sequence[Alignment],
-    features: Mapping[str, GridFeatures],
-) -> tuple[dict[str, Pose2], list[Alignment]]:
-    """Return the poses that fit all links best, and the links that do not fit.
-
-    Args:
-        group: names of the maps; all poses are in the frame of the first.
-        links: alignments that join the group, the strongest first.
-
-    Source: ``pose_graph.robust``, graduated non-convexity.
-    """
-    if len(links) < len(group):
-        return dict(start), []
-    number = {name: index for index, name in enumerate(group)}
-    middles = {name: Pose2(*features[name].middle) for name in group}
-    nodes = [start[name].compose(middles[name]) for name in group]
-    motions, covariances = [], []
-    for pair in links:
-        motion = middles[pair.reference].inverse().compose(pair.transform)
-        motion = motion.compose(middles[pair.moving])
-        between = motion.inverse()
-        covariance = np.diag([SHIFT_SIGMA_M, SHIFT_SIGMA_M, YAW_SIGMA_RAD]) ** 2
-        way = -0.5 * np.array([[between.x, between.y]])
-        covariances.append(moved(covariance[None], way)[0])
-        motions.append(row_of(motion))
-    information = inverted(np.array(covariances))
-    graph = PoseGraph(
-        poses=np.array([row_of(node) for node in nodes]),
-        edges=np.array([(number[pair.reference], number[pair.moving]) for pair in links]),
-        motions=np.array(motions),
-        information=0.5 * (information + information.transpose(0, 2, 1)),
-        is_closure=np.ones(len(links), dtype=np.bool_),
-    )
-    solved = optimize(graph, robust="gnc", start="given")
-    poses = {
-        name: pose_of(row).compose(middles[name].inverse())
-        for name, row in zip(group, solved.poses, strict=True)
-    }
-    first = poses[group[0]].inverse()
-    out = [pair for pair, is_out in zip(links, solved.is_outlier, strict=True) if is_out]
-    return {name: first.compose(pose) for name, pose in poses.items()}, out
 
 
 def placed(pair: Pair, transform: Pose2) -> Alignment:

@@ -117,7 +117,11 @@ def align_group(
     least = 1 if len(names) == 1 else LEAST_FUSED
     found = [group for group in found if len(group.members) >= least]
     if not found:
-        raise _nothing_fused(names, pairs, reasons)
+        told = [f"{pair.moving} to {pair.reference}: {pair.reason}" for pair in pairs]
+        words = "; ".join([*reasons.values(), *told]) or "where starts put them no two can meet"
+        listed = ", ".join(names)
+        message = f"no two of the inputs {listed} align, so nothing is fused ({words})"
+        raise AlignmentError(message, tuple(pairs))
     group, *rest = found
     reference = choose_reference(group.members, features, config.reference, names)
     alignments = _to_reference(reference, group, features, pairs)
@@ -208,17 +212,6 @@ class _Aligner:
         return [*(candidate for _, candidate in near), *others]
 
 
-def _nothing_fused(
-    names: Sequence[str], pairs: Sequence[Alignment], reasons: Mapping[str, str]
-) -> AlignmentError:
-    """Return the error of inputs of which no two agree, with every reason."""
-    found = [f"{pair.moving} to {pair.reference}: {pair.reason}" for pair in pairs]
-    words = "; ".join([*reasons.values(), *found]) or "where starts put them no two can meet"
-    listed = ", ".join(names)
-    message = f"no two of the inputs {listed} align, so nothing is fused ({words})"
-    return AlignmentError(message, tuple(pairs))
-
-
 def choose_reference(
     members: Sequence[str],
     features: Mapping[str, GridFeatures],
@@ -238,7 +231,12 @@ def choose_reference(
     """
     name = named_input(wanted, names)
     if name == SMALLEST and name not in names:
-        return _smallest(members, features)
+        # The smallest box that knows half the group's median known area.
+        typical = median(features[one].known_cells for one in members)
+        grown = [
+            one for one in members if features[one].known_cells >= REFERENCE_AREA_SHARE * typical
+        ]
+        return min(grown, key=lambda one: math.prod(features[one].shape))
     if name is not None:
         if name not in members:
             state = "was rejected" if name in names else "is none of them"
@@ -248,15 +246,6 @@ def choose_reference(
             )
         return name
     return members[0]
-
-
-def _smallest(members: Sequence[str], features: Mapping[str, GridFeatures]) -> str:
-    """Return the member of the smallest box that knows half the group's median known area."""
-    typical = median(features[name].known_cells for name in members)
-    grown = [
-        name for name in members if features[name].known_cells >= REFERENCE_AREA_SHARE * typical
-    ]
-    return min(grown, key=lambda name: math.prod(features[name].shape))
 
 
 def _to_reference(

@@ -95,9 +95,11 @@ def align_plan(
     scales = (1.0 / FACTOR, FACTOR)
     if scale != "free":
         scales = (scale[0] / plan.resolution, scale[1] / plan.resolution)
-    found = align_at_any_scale(reference, plan, config.fusion, device_for(config, device), scales)
-    sized = replace(plan, resolution=plan.resolution * found.scale)
-    return AlignedPlan(reference, sized, found.scale, found.alignment)
+    factor, alignment = align_at_any_scale(
+        reference, plan, config.fusion, device_for(config, device), scales
+    )
+    sized = replace(plan, resolution=plan.resolution * factor)
+    return AlignedPlan(reference, sized, factor, alignment)
 
 
 def align_plan_with_all(

@@ -9,7 +9,8 @@ import cv2
 import numpy as np
 import pytest
 
-from slamfusion.align.scale import ScaledAlignment, align_at_any_scale
+from slamfusion.align.records import Alignment
+from slamfusion.align.scale import align_at_any_scale
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig
 from slamfusion.errors import AlignmentError, ConfigError
@@ -40,7 +41,7 @@ def drawn_plan(truth: OccupancyGrid, factor: float) -> OccupancyGrid:
 
 def found_in(
     seen: OccupancyGrid, plan: OccupancyGrid, device: ComputeDevice, about: float
-) -> ScaledAlignment:
+) -> tuple[float, Alignment]:
     """Search scales a fifth smaller and larger than about the right one."""
     return align_at_any_scale(seen, plan, FusionConfig(), device, (0.82 * about, 1.25 * about))
 
@@ -52,26 +53,26 @@ def test_a_plan_finds_its_scale(device: ComputeDevice, seed: int, factor: float)
     truth = building(seed, 24.0, 18.0, 0.05)
     # The robot saw the larger part of it.
     seen = kept(truth, along(truth, truth, Pose2(), "x"), (0, 320)).with_name("seen")
-    found = found_in(seen, drawn_plan(truth, factor), device, 1.0 / factor)
-    assert found.alignment.accepted, found.alignment.reason
-    assert found.scale == pytest.approx(1.0 / factor, rel=0.005)
+    scale, alignment = found_in(seen, drawn_plan(truth, factor), device, 1.0 / factor)
+    assert alignment.accepted, alignment.reason
+    assert scale == pytest.approx(1.0 / factor, rel=0.005)
 
 
 def test_another_building_is_refused(device: ComputeDevice) -> None:
-    found = found_in(
+    _, alignment = found_in(
         building(3, 24.0, 18.0, 0.05),
         drawn_plan(building(4, 24.0, 18.0, 0.05), 1.4),
         device,
         1.0 / 1.4,
     )
-    assert not found.alignment.accepted, found.alignment.reason
+    assert not alignment.accepted, alignment.reason
 
 
 def test_a_mirrored_plan_is_named(device: ComputeDevice) -> None:
     truth = building(2, 24.0, 18.0, 0.05)
     plan = drawn_plan(truth, 1.3)
     image = replace(plan, cells=np.ascontiguousarray(plan.cells[::-1]))
-    found = found_in(truth, image, device, 1.0 / 1.3).alignment
+    _, found = found_in(truth, image, device, 1.0 / 1.3)
     assert not found.accepted
     assert found.decision == "mirrored"
     assert "mirror image" in found.reason
