@@ -43,7 +43,7 @@ def _report_folders(folder: Path, given: Mapping[str, Any]) -> list[Path]:
 @options.case("--log", "more_logs", "LOG", "Another log, with its own paths.")
 @options.case(
     "--truth",
-    "truths",
+    "truth",
     "FILE",
     "The true trajectory. Adds the errors of the paths and their ranking.",
 )
@@ -64,14 +64,11 @@ def command(
     log: CaseFile,
     more_logs: tuple[CaseFile, ...],
     paths: tuple[CaseFile, ...],
-    truths: tuple[CaseFile, ...],
-    relations: tuple[CaseFile, ...],
-    odometry: tuple[CaseFile, ...],
-    scan_odometry: tuple[CaseFile, ...],
     fused: Path | None,
     report_dir: Path | None,
     results_path: Path | None,
     as_json: bool,
+    **others: tuple[CaseFile, ...],
 ) -> None:
     """Rank the paths of a log by its scans, without ground truth.
 
@@ -95,20 +92,14 @@ def command(
         write_judgement,
     )
 
-    options.check_odometry(odometry, relations)
+    options.check_odometry(others["odometry"], others["relations"])
     if fused is not None and more_logs:
         message = "--fused is of one log; with several (--log) call judge for each"
         raise click.UsageError(message)
     logs = (log, *more_logs)
     cases = case_names(logs)
-    known = known_files(
-        cases,
-        log=[CaseFile(file.path, case) for case, file in zip(cases, logs, strict=True)],
-        relations=relations,
-        odometry=odometry,
-        truth=truths,
-        scan_odometry=scan_odometry,
-    )
+    named = [CaseFile(file.path, case) for case, file in zip(cases, logs, strict=True)]
+    known = known_files(cases, log=named, **others)
     placed = place_files(cases, paths)
     device = device_for(config)
     found: dict[str, JudgedPaths] = {}

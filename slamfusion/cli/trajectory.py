@@ -53,13 +53,13 @@ def paths_in(item: CaseFile) -> list[CaseFile]:
 )
 @options.case(
     "--log",
-    "logs",
+    "log",
     "LOG",
     "The log of EST. With --odometry, poses are matched by the odometry of their scan instead of "
     "their stamp.",
 )
 @options.case(
-    "--truth", "truths", "FILE", "The true trajectory, for absolute and relative errors (ATE, RPE)."
+    "--truth", "truth", "FILE", "The true trajectory, for absolute and relative errors (ATE, RPE)."
 )
 @options.file(
     "--map",
@@ -76,14 +76,11 @@ def paths_in(item: CaseFile) -> list[CaseFile]:
 def command(
     config: RunConfig,
     estimates: tuple[CaseFile, ...],
-    relations: tuple[CaseFile, ...],
-    odometry: tuple[CaseFile, ...],
-    logs: tuple[CaseFile, ...],
-    truths: tuple[CaseFile, ...],
     map_path: Path | None,
     report_dir: Path | None,
     results_path: Path | None,
     as_json: bool,
+    **files: tuple[CaseFile, ...],
 ) -> None:
     """Measure the errors of paths.
 
@@ -102,11 +99,12 @@ def command(
     )
 
     paths = [found for item in estimates for found in paths_in(item)]
+    relations, truths, odometry = (files[kind] for kind in ("relations", "truth", "odometry"))
     is_one = max(map(len, (paths, truths, relations))) == 1
     for is_wrong, message in (
         (not relations and not truths, "give --relations FILE, --truth FILE, or both"),
         (odometry and not relations, "--odometry needs --relations FILE"),
-        (logs and not odometry, "--log needs --odometry FILE, the raw odometry of the run"),
+        (files["log"] and not odometry, "--log needs --odometry FILE, the raw odometry of the run"),
         (map_path and not report_dir, "--map needs --report DIR, where it is drawn"),
         (map_path and not is_one, "--map is for one path; give one EST"),
     ):
@@ -114,7 +112,7 @@ def command(
             raise click.UsageError(message)
 
     cases = shared_case_names(truths, relations)
-    known = known_files(cases, log=logs, relations=relations, odometry=odometry, truth=truths)
+    known = known_files(cases, **files)
     found, not_measured = measure_trajectories(place_files(cases, paths), known, config)
     if map_path is not None:
         (grid,) = load_maps([map_path], config, warn=notice)

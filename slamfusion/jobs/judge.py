@@ -230,19 +230,44 @@ def write_fused_path(found: JudgedPaths) -> None:
 
 
 def write_judgement(found: JudgedPaths, directory: str | Path) -> Path:
-    """Write the report of the judged paths; return the path of ``report.html``."""
-    from slamfusion.report import write_judge_report  # noqa: PLC0415  (an extra)
+    """Write the report of which path to use; see ``slamfusion.report.page.write_page``."""
+    from slamfusion.report import page, paths  # noqa: PLC0415  (an extra)
 
-    return write_judge_report(
-        found.recommendation,
-        found.evidence,
-        directory,
-        log=str(found.files.log),
-        config=found.circumstances.config,
-        errors_m=errors_m(found.measured),
-        not_measured=found.not_measured,
-        device=found.circumstances.device,
-    )
+    answer, evidence, made_by = found.recommendation, found.evidence, found.circumstances
+    strip = paths.strip_picture(answer, paths.path_colours(answer, evidence, {}))
+    sections = [
+        page.Section("Over the drive", "", [strip]),
+        paths.evidence_section(answer, evidence),
+    ]
+    if known := {kind: own for kind, own in errors_m(found.measured).items() if own}:
+        ranks = {
+            kind: dict(zip(own, range(1, len(own) + 1), strict=True)) for kind, own in known.items()
+        }
+        rows = [
+            (
+                path.name,
+                [(own.get(path.name), ranks[kind].get(path.name)) for kind, own in known.items()],
+            )
+            for path in answer.paths
+        ]
+        heads = [word for kind in known for word in (f"#{kind} [m]", "#rank")]
+        text = "The order by the scans next to the errors against the truth or known relations."
+        table = page.tables().ranks(heads, rows)
+        sections.append(page.Section("Compared with what is known", text, tables=table))
+    lines = paths.place_lines(answer)
+    lines += [("Not measured:", sentence) for sentence in found.not_measured]
+    lines.append(("Log:", str(found.files.log)))
+    facts = [
+        page.Fact(
+            f"{path.consistency:.3f}",
+            f"log-likelihood of a hit, {path.name}",
+            "good" if path.behind_95 is None else "plain",
+        )
+        for path in answer.paths
+    ]
+    banner = page.Banner(answer.tone, answer.headline, lines)
+    report = page.Page("SLAMfusion judge", banner, facts, sections, made_by.config, made_by.device)
+    return page.write_page(report, directory)
 
 
 def _with_sensor_faults(

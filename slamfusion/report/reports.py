@@ -1,4 +1,4 @@
-"""The reports of a SLAM's run, of paths and maps against a truth, and of paths by their scans."""
+"""The reports of a SLAM's run, and of paths and maps against a truth."""
 
 from __future__ import annotations
 
@@ -12,8 +12,6 @@ from slamfusion.config import PICTURE_FORMS, RunConfig
 from slamfusion.errors import MapFileError
 from slamfusion.evaluation.map_error import MapError
 from slamfusion.evaluation.measured import MeasuredPath, Measures
-from slamfusion.evidence.predictive import PathEvidence
-from slamfusion.evidence.recommendation import Recommendation
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io.files import write_atomic
 from slamfusion.palette import Rgb, colours_of
@@ -261,68 +259,3 @@ def write_difference_image(evaluation: MapError, path: str | Path) -> None:
         raise MapFileError(f"{path}: wanted a name that ends in .{', .'.join(PICTURE_FORMS)}")
     picture = maps.difference_picture(evaluation, None)
     write_atomic(path, to_form(picture.figure, form))
-
-
-# --- paths by their scans -------------------------------------------------------------------------
-
-
-def write_judge_report(
-    answer: Recommendation,
-    evidence: PathEvidence,
-    directory: str | Path,
-    *,
-    log: str,
-    config: RunConfig,
-    errors_m: Mapping[str, Mapping[str, float]] | None = None,
-    not_measured: Sequence[str] = (),
-    device: str = "",
-) -> Path:
-    """Write the report of which path to use; see ``write_page``.
-
-    Args:
-        errors_m: errors in metres by kind (ATE, relations), then by path; only measured paths.
-        not_measured: a sentence for each path that could not be measured.
-    """
-    strip = paths.strip_picture(answer, paths.path_colours(answer, evidence, {}))
-    sections = [
-        page.Section("Over the drive", "", [strip]),
-        paths.evidence_section(answer, evidence),
-    ]
-    known = {name: errors for name, errors in (errors_m or {}).items() if errors}
-    if known:
-        sections.append(_errors_section(answer, known))
-    lines = paths.place_lines(answer)
-    lines += [("Not measured:", sentence) for sentence in not_measured]
-    banner = page.Banner(answer.tone, answer.headline, [*lines, ("Log:", log)])
-    facts = [
-        page.Fact(
-            f"{path.consistency:.3f}",
-            f"log-likelihood of a hit, {path.name}",
-            "good" if path.behind_95 is None else "plain",
-        )
-        for path in answer.paths
-    ]
-    report = page.Page("SLAMfusion judge", banner, facts, sections, config, device)
-    return page.write_page(report, directory)
-
-
-def _errors_section(
-    answer: Recommendation, errors_m: Mapping[str, Mapping[str, float]]
-) -> page.Section:
-    """Return the errors of the paths, in the order that the scans put them in."""
-    ranks = {name: sorted(errors, key=errors.__getitem__) for name, errors in errors_m.items()}
-    rows = [
-        (
-            path.name,
-            [
-                (own.get(path.name), ranks[name].index(path.name) + 1 if path.name in own else None)
-                for name, own in errors_m.items()
-            ],
-        )
-        for path in answer.paths
-    ]
-    heads = [word for name in errors_m for word in (f"#{name} [m]", "#rank")]
-    what = "The order by the scans next to the errors against the truth or known relations."
-    return page.Section(
-        "Compared with what is known", what, tables=page.tables().ranks(heads, rows)
-    )
