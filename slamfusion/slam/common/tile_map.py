@@ -147,13 +147,13 @@ class _Tiles:
         first, last = corners(places)
         return first * TILE, (last + 1) * TILE
 
-    def to_arrays(self) -> dict[str, Array]:
+    def to_state(self) -> dict[str, Array]:
         """Return everything as arrays, for saving; tiles keep their numbers."""
         pools = {f"pool_{name}": self._device.download(p) for name, p in self.pools.items()}
         return {"pages": self.pages, "corner": self.corner, **pools}
 
     def restore(self, arrays: Mapping[str, Array]) -> None:
-        """Take over what ``to_arrays`` returned, with the pools that it has."""
+        """Take over what ``to_state`` returned, with the pools that it has."""
         kept = {name: pool for name, pool in self.pools.items() if f"pool_{name}" in arrays}
         wanted: dict[str, tuple[npt.DTypeLike, str]] = {
             "pages": (np.int32, "N H W" if self.pages.ndim > 2 else "H W"),
@@ -288,7 +288,7 @@ class SharedTileMaps(_Tiles):
 
     def to_state(self) -> dict[str, Array]:
         """Return everything as arrays, for saving."""
-        return {**self.to_arrays(), "users": self._users}
+        return {**super().to_state(), "users": self._users}
 
     def restore(self, arrays: Mapping[str, Array]) -> None:
         """Take over what ``to_state`` returned."""

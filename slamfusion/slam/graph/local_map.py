@@ -16,7 +16,7 @@ from slamfusion.grid import IDENTITY
 from slamfusion.pose_graph.uncertainty import turned
 from slamfusion.slam.common.matcher import ScanOnTiles, information_of, response_information
 from slamfusion.slam.common.state import Stateful
-from slamfusion.slam.graph.map_graph import INFORMATION_SHARE, Constraint, GraphHealth
+from slamfusion.slam.graph.map_graph import INFORMATION_SHARE, Constraint
 from slamfusion.slam.graph.node_map import Node
 from slamfusion.slam.graph.submap import Submap, fill_walls
 
@@ -55,14 +55,13 @@ class LocalMap(Stateful):
 
     STATE = ("components", "finished", "active", "node", "node_pose", "recent", "_next_pose")
 
-    def __init__(self, config: GraphConfig, device: ComputeDevice, health: GraphHealth) -> None:
+    def __init__(self, config: GraphConfig, device: ComputeDevice) -> None:
         self.submaps: list[Submap] = []
         self.components: list[int] = []
         self.finished = self.active = self.node = 0
         self.node_pose = IDENTITY
         self._config = config
         self._device = device
-        self._health = health
         # Of the finished submaps: anchors (S,), and corners (S, 2), metres, of the boxes around
         # the robot's places.
         self._boxes = (np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 2)))
@@ -148,7 +147,6 @@ class LocalMap(Stateful):
             and self.submaps[-1].scans < self._config.loop_match_minimum_chain_size
         ):
             del self.submaps[-1], self.components[-1]
-            self._health.submaps = len(self.submaps)
         self._finish()
         self.active, self.node, self.node_pose = index, self.submaps[index].anchor, IDENTITY
 
@@ -216,14 +214,13 @@ class LocalMap(Stateful):
         owners = np.searchsorted(anchors, np.arange(node_count), side="right") - 1
         is_joining = np.array(self.components)[owners] == joining
         self.components = [kept if part == joining else part for part in self.components]
-        self._health.map_components = self.component_count
         return is_joining, joining == own
 
     # -- state ---------------------------------------------------------------------------------
 
     def to_state(self) -> dict[str, Any]:
         """Return the state, see ``Stateful``, with the submaps' contents."""
-        submaps = [submap.to_arrays() for submap in self.submaps]
+        submaps = [submap.to_state() for submap in self.submaps]
         return {**super().to_state(), "submaps": submaps}
 
     def restore(self, state: Mapping[str, Any]) -> None:
@@ -243,8 +240,6 @@ class LocalMap(Stateful):
         submap = Submap(self._device, anchor, config.resolution, sigma_m)
         self.submaps.append(submap)
         self.components.append(component)
-        self._health.submaps = len(self.submaps)
-        self._health.map_components = self.component_count
         return submap
 
     def _walls_of(self, node: Node) -> tuple[F64, F64]:

@@ -307,7 +307,6 @@ class MapGraph(Stateful):
         self.nodes.append(node)
         self._node_bytes += node.ends.nbytes
         self.poses = np.vstack((self.poses, (pose.x, pose.y, wrap_angle(pose.yaw_rad))))
-        self._health.nodes = len(self.nodes)
         return len(self.nodes) - 1
 
     def add_matches(self, number: int, matches: Sequence[Constraint], moved: Pose2) -> None:

@@ -72,7 +72,7 @@ class GraphSlam(SavedMapper):
         self._config, self._seed = config, seed
         rng = np.random.default_rng(seed)
         search = ClosureSearch(config, device, rng)
-        self._local_map = LocalMap(config, device, self.health)
+        self._local_map = LocalMap(config, device)
         self._localizer = Localizer(config, device, rng, self._local_map, search, self.health)
         self._graph = MapGraph(self.health)
         self._loops = LoopClosure(config, self._graph, self._local_map, search, self.health)
@@ -104,6 +104,9 @@ class GraphSlam(SavedMapper):
         else:
             step = self._follow(seen, hypotheses)
 
+        self.health.nodes = len(self._graph.nodes)
+        self.health.submaps = len(self._local_map.submaps)
+        self.health.map_components = max(1, self._local_map.component_count)
         self.last_stamp_s = scan.stamp_s
         return step
 

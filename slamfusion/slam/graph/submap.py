@@ -9,7 +9,6 @@ Sources: Hess et al., ICRA 2016 [H16c] (submaps); Olson, ICRA 2009 [O09] (likeli
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -22,7 +21,7 @@ from slamfusion.compute.layout import BEAM_ONE, TILE
 from slamfusion.compute.scan_match import FieldWindow
 from slamfusion.geometry import F64, Pose2, corners, wrap_angles
 from slamfusion.slam.common.matcher import FieldMap
-from slamfusion.slam.common.state import check_arrays, check_indices
+from slamfusion.slam.common.state import Stateful
 from slamfusion.slam.common.tile_map import TileMap
 
 # Distance between hits, metres, above which they are not joined: there may be a door.
@@ -100,11 +99,13 @@ class Pyramid:
             self.fields.insert(0, device.max_ahead(self.fields[0], window))
 
 
-class Submap:
+class Submap(Stateful):
     """A map of a few scans in the frame of its anchor node.
 
     ``low`` and ``high`` (2,) are the corners of the robot's places in it, metres.
     """
+
+    STATE = ("anchor", "scans", "low", "high", "_is_finished", "_tiles")
 
     def __init__(
         self, device: ComputeDevice, anchor: int, resolution: float, sigma_m: float
@@ -177,21 +178,6 @@ class Submap:
         """Free what only a growing submap needs."""
         self._tiles.keep_only("field")
         self._is_finished = True
-
-    def to_arrays(self) -> dict[str, npt.NDArray[Any]]:
-        """Return everything but the pyramid as arrays, for saving."""
-        own = np.array([self.anchor, self.scans, self._is_finished])
-        return {"own": own, "low": self.low, "high": self.high, **self._tiles.to_arrays()}
-
-    def restore(self, arrays: Mapping[str, npt.NDArray[Any]]) -> None:
-        """Take over what ``to_arrays`` returned."""
-        corner = (np.float64, "2")
-        check_arrays(arrays, {"own": (np.int64, "3"), "low": corner, "high": corner})
-        check_indices("own", arrays["own"][2], 2)
-        self.anchor, self.scans = (int(value) for value in arrays["own"][:2])
-        self._is_finished = bool(arrays["own"][2])
-        self.low, self.high = arrays["low"], arrays["high"]
-        self._tiles.restore(arrays)
 
     def forget_dense(self) -> None:
         """Free the dense copies."""

@@ -129,8 +129,7 @@ def test_edits_of_a_record_are_refused_or_make_a_state(
 @pytest.mark.parametrize(
     ("name", "where", "value"),
     [
-        ("graph", ("_local_map", "submaps", 0, "pages"), 10_000),
-        ("graph", ("_local_map", "submaps", 0, "own"), 2),
+        ("graph", ("_local_map", "submaps", 0, "_tiles", "pages"), 10_000),
         ("gmapping", ("_maps", "tiles", "pages"), -1),
         ("gmapping", ("_maps", "tiles", "pages"), 1 << 30),
         ("gmapping", ("_maps", "tiles", "users"), 3),
