@@ -70,6 +70,37 @@ class ScanRule(NamedTuple):
     wall_floor: int
     wall_gain: int
 
+    def words(self, beams: I32) -> tuple[I64, I64, I64, I64]:
+        """Return beam, row, column and word of every cell that beams observe.
+
+        A beam is walked from behind its hit (step 0) to the laser, by a cell of the longer axis.
+        """
+        hit_x, hit_y, laser_x, laser_y, length, ridge = beams.astype(np.int64).T
+        longest = np.maximum(np.abs(laser_x - hit_x), np.abs(laser_y - hit_y))
+        step = length * (1 << WALK_SHIFT) // np.maximum(longest, 1)
+        reach = np.where(step > 0, (self.half_blur << WALK_TO_BEAM_SHIFT) // np.maximum(step, 1), 0)
+        beam, row, col, i = walk_cells((hit_x, hit_y), (laser_x, laser_y), reach)
+        away = (np.abs(i) * step[beam]) >> WALK_TO_BEAM_SHIFT
+        rise = np.maximum(ridge[beam] - self.free, 0) * (self.half_blur - away)
+        value = self.free + np.where(away < self.half_blur, rise // max(1, self.half_blur), 0)
+        keep = (i >= 0) | (value >= self.behind)
+        value = np.where(i == 0, ridge[beam], value)
+        word = (i == 0).astype(np.int64) << HIT_SHIFT | value << VALUE_SHIFT | (i >= 0)
+        return beam[keep], row[keep], col[keep], word[keep]
+
+    def learn(self, pools: Pools, at: Places, words: I64) -> None:
+        """Fold words into the cells of tinySLAM's map."""
+        valley, published, field = (host(pools[name]) for name in ("valley", "published", "field"))
+        value = words >> VALUE_SHIFT & VALUE_ONE
+        state = _joined(valley[at].astype(np.int64), value, self)
+        valley[at] = state.astype(np.uint32)
+        walls = ((state >> MEAN_SHIFT) - self.wall_floor) * self.wall_gain >> MEAN_BITS
+        field[at] = np.clip(walls, 0, FIELD_ONE).astype(np.uint8)
+        front = (words & 1) == 1
+        at = tuple(part[front] for part in at)
+        told = np.where(words[front] >> HIT_SHIFT, value[front], self.map_free)
+        published[at] = _joined(published[at].astype(np.int64), told, self).astype(np.uint32)
+
 
 class LikelihoodRule(NamedTuple):
     """How the hits of one scan spread into the cells around them.
@@ -91,44 +122,35 @@ class LikelihoodRule(NamedTuple):
     reach: int
     most: int
 
+    def words(self, beams: I32) -> tuple[I64, I64, I64, I64]:
+        """Return the same as of ``ScanRule``; passed cells get the value of no hit nearby."""
+        hits, lasers = beams[:, :2].astype(np.int64), beams[:, 2:].astype(np.int64)
+        beam, row, col, step = walk_cells((hits[:, 0], hits[:, 1]), (lasers[:, 0], lasers[:, 1]))
+        passed = step > 0
+        around = np.arange(-self.reach, self.reach + 1)
+        rows, cols = (axis.ravel() for axis in np.meshgrid(around, around, indexing="ij"))
+        near_col, near_row = (hits[:, :1] >> BEAM_SHIFT) + cols, (hits[:, 1:] >> BEAM_SHIFT) + rows
+        dx = hits[:, :1] - (near_col << BEAM_SHIFT) - BEAM_HALF
+        dy = hits[:, 1:] - (near_row << BEAM_SHIFT) - BEAM_HALF
+        step = np.minimum((dx * dx + dy * dy) >> self.shift, TABLE_LAST)
+        value = np.concatenate((np.zeros(passed.sum(), np.int64), self.table[step].ravel()))
+        own = np.repeat(np.arange(len(beams)), len(rows))
+        beam, row, col = (
+            np.concatenate((way[passed], near.ravel()))
+            for way, near in ((beam, own), (row, near_row), (col, near_col))
+        )
+        return beam, row, col, value << LIKELIHOOD_SHIFT | 1
 
-def _valley_words(beams: I32, rule: ScanRule) -> tuple[I64, I64, I64, I64]:
-    """Return beam, row, column and word of every cell that beams observe.
-
-    A beam is walked from behind its hit (step 0) to the laser, one cell of the longer axis a step.
-    """
-    hit_x, hit_y, laser_x, laser_y, length, ridge = beams.astype(np.int64).T
-    longest = np.maximum(np.abs(laser_x - hit_x), np.abs(laser_y - hit_y))
-    step = length * (1 << WALK_SHIFT) // np.maximum(longest, 1)
-    reach = np.where(step > 0, (rule.half_blur << WALK_TO_BEAM_SHIFT) // np.maximum(step, 1), 0)
-    beam, row, col, i = walk_cells((hit_x, hit_y), (laser_x, laser_y), reach)
-    away = (np.abs(i) * step[beam]) >> WALK_TO_BEAM_SHIFT
-    rise = np.maximum(ridge[beam] - rule.free, 0) * (rule.half_blur - away)
-    value = rule.free + np.where(away < rule.half_blur, rise // max(1, rule.half_blur), 0)
-    keep = (i >= 0) | (value >= rule.behind)
-    value = np.where(i == 0, ridge[beam], value)
-    word = (i == 0).astype(np.int64) << HIT_SHIFT | value << VALUE_SHIFT | (i >= 0)
-    return beam[keep], row[keep], col[keep], word[keep]
-
-
-def _likelihood_words(beams: I32, rule: LikelihoodRule) -> tuple[I64, I64, I64, I64]:
-    """Return the same; passed cells get the value of no hit nearby."""
-    hits, lasers = beams[:, :2].astype(np.int64), beams[:, 2:].astype(np.int64)
-    beam, row, col, step = walk_cells((hits[:, 0], hits[:, 1]), (lasers[:, 0], lasers[:, 1]))
-    passed = step > 0
-    around = np.arange(-rule.reach, rule.reach + 1)
-    rows, cols = (axis.ravel() for axis in np.meshgrid(around, around, indexing="ij"))
-    near_col, near_row = (hits[:, :1] >> BEAM_SHIFT) + cols, (hits[:, 1:] >> BEAM_SHIFT) + rows
-    dx = hits[:, :1] - (near_col << BEAM_SHIFT) - BEAM_HALF
-    dy = hits[:, 1:] - (near_row << BEAM_SHIFT) - BEAM_HALF
-    step = np.minimum((dx * dx + dy * dy) >> rule.shift, TABLE_LAST)
-    value = np.concatenate((np.zeros(passed.sum(), np.int64), rule.table[step].ravel()))
-    own = np.repeat(np.arange(len(beams)), len(rows))
-    beam, row, col = (
-        np.concatenate((way[passed], near.ravel()))
-        for way, near in ((beam, own), (row, near_row), (col, near_col))
-    )
-    return beam, row, col, value << LIKELIHOOD_SHIFT | 1
+    def learn(self, pools: Pools, at: Places, words: I64) -> None:
+        """Fold words into the cells of a submap."""
+        states, field = host(pools["states"]), host(pools["field"])
+        state = states[at].astype(np.int64)
+        mean = state >> MEAN_SHIFT
+        more = np.minimum((state & MOST_OBSERVATIONS) + 1, self.most)
+        change = (words >> LIKELIHOOD_SHIFT) * LIKELIHOOD_ONE - mean
+        following = mean + np.sign(change) * (np.abs(change) // more)
+        states[at] = (following << MEAN_SHIFT | more).astype(np.uint32)
+        field[at] = (following // LIKELIHOOD_ONE).astype(np.uint8)
 
 
 def _joined(state: I64, value: I64, rule: ScanRule) -> I64:
@@ -141,32 +163,6 @@ def _joined(state: I64, value: I64, rule: ScanRule) -> I64:
     else:
         following = mean + (((told - mean) * rule.quality) >> QUALITY_SHIFT)
     return np.asarray(following << MEAN_SHIFT | np.minimum(seen + 1, MOST_OBSERVATIONS))
-
-
-def _learn_valley(pools: Pools, at: Places, words: I64, rule: ScanRule) -> None:
-    """Fold words into the cells of tinySLAM's map."""
-    valley, published, field = (host(pools[name]) for name in ("valley", "published", "field"))
-    value = words >> VALUE_SHIFT & VALUE_ONE
-    state = _joined(valley[at].astype(np.int64), value, rule)
-    valley[at] = state.astype(np.uint32)
-    walls = ((state >> MEAN_SHIFT) - rule.wall_floor) * rule.wall_gain >> MEAN_BITS
-    field[at] = np.clip(walls, 0, FIELD_ONE).astype(np.uint8)
-    front = (words & 1) == 1
-    at = tuple(part[front] for part in at)
-    told = np.where(words[front] >> HIT_SHIFT, value[front], rule.map_free)
-    published[at] = _joined(published[at].astype(np.int64), told, rule).astype(np.uint32)
-
-
-def _learn_likelihood(pools: Pools, at: Places, words: I64, rule: LikelihoodRule) -> None:
-    """Fold words into the cells of a submap."""
-    states, field = host(pools["states"]), host(pools["field"])
-    state = states[at].astype(np.int64)
-    mean = state >> MEAN_SHIFT
-    more = np.minimum((state & MOST_OBSERVATIONS) + 1, rule.most)
-    change = (words >> LIKELIHOOD_SHIFT) * LIKELIHOOD_ONE - mean
-    following = mean + np.sign(change) * (np.abs(change) // more)
-    states[at] = (following << MEAN_SHIFT | more).astype(np.uint32)
-    field[at] = (following // LIKELIHOOD_ONE).astype(np.uint8)
 
 
 class CellMeanDevice(ArrayDevice):
@@ -205,7 +201,7 @@ class CellMeanDevice(ArrayDevice):
                 np.empty(count, dtype=np.bool_), name, (count,), pools["observed"], pages, width,
                 height, beams, count, *own, wanted,
             )  # fmt: skip
-        beam, row, col, words = _words(host(beams), rule)
+        beam, row, col, words = rule.words(host(beams))
         tiles = host(pages)[row // TILE, col // TILE]
         missing, put = tiles == 0, tiles != 0
         host(wanted)[row[missing] // TILE, col[missing] // TILE] = 1
@@ -235,20 +231,10 @@ class CellMeanDevice(ArrayDevice):
             written = [pools[pool] for pool in names]
             self.opencl.launch(name, (count,), *written, pages, width, height, beams, count, *own)
             return
-        _, row, col, _ = _words(host(beams), rule)
+        _, row, col, _ = rule.words(host(beams))
         tiles, observed = host(pages)[row // TILE, col // TILE], host(pools["observed"])
         places = np.unique(np.stack((tiles, row % TILE, col % TILE), axis=-1), axis=0)
         words = observed[tuple(places.T)].astype(np.int64)
         at, words = tuple(places[words > 0].T), words[words > 0]
         observed[at] = 0
-        if isinstance(rule, ScanRule):
-            _learn_valley(pools, at, words, rule)
-        else:
-            _learn_likelihood(pools, at, words, rule)
-
-
-def _words(beams: I32, rule: ScanRule | LikelihoodRule) -> tuple[I64, I64, I64, I64]:
-    """Return beam, row, column and word of every cell that beams observe."""
-    if isinstance(rule, ScanRule):
-        return _valley_words(beams, rule)
-    return _likelihood_words(beams, rule)
+        rule.learn(pools, at, words)

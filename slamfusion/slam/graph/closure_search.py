@@ -216,8 +216,7 @@ class ClosureSearch:
         turn = min(MOST_TURN_RAD, TURN_RAD + TURN_RAD_PER_M * drift_m)
         if drift_m <= LOCAL_DRIFT_M:
             spread = spread_of(max(drift_m / 2.0, LEAST_SPREAD_M), turn / 2.0)
-            hypothesis = PoseHypothesis(expected, spread)
-            found = self._fine(submap, points, hypothesis, least, MOST_UNSEEN)
+            found = self._fine(submap, points, expected, least, MOST_UNSEEN, spread)
             if isinstance(found, str):
                 return found
             away = found.pose - expected
@@ -258,7 +257,7 @@ class ClosureSearch:
             return expected, False
         coarse = best.pose
         least = MEAN_SHARE_ANYWHERE * mean_score
-        found = self._fine(submap, points, _around(coarse), least, MOST_UNSEEN, by_window=True)
+        found = self._fine(submap, points, coarse, least, MOST_UNSEEN)
         if isinstance(found, Found):
             if self._has_rival(submap, points, window, found):
                 return expected, False
@@ -287,7 +286,7 @@ class ClosureSearch:
         best = self._searched(submap, points, windows[0], WINDOW_SHARE * least)
         if best is None:
             return LOW_RESPONSE
-        found = self._fine(submap, points, _around(best.pose), least, most_unseen, by_window=True)
+        found = self._fine(submap, points, best.pose, least, most_unseen)
         if isinstance(found, Found) and self._has_rival(submap, points, windows[1], found):
             return AMBIGUOUS
         return found
@@ -296,19 +295,19 @@ class ClosureSearch:
         self,
         submap: Submap,
         points: F64,
-        hypothesis: PoseHypothesis,
+        start: F64,
         least: float,
         most_unseen: float,
-        *,
-        by_window: bool = False,
+        spread: F64 | None = None,
     ) -> Found | str:
-        """Search around a hypothesis, from a window search or not, and check the result."""
+        """Search around a pose (3,), without a spread a window search's, and check the result."""
         config = self._config
         walls = self._kept(submap).walls()
         scan = ScanOnTiles(self._device, walls, points, config.matcher.beams)
-        # A window search ends within a cell of the place, so half of the climbs suffice.
-        climbs = STARTS // 2 if by_window else STARTS
-        match = search_pose(scan, [hypothesis], self._rng, climbs=climbs)
+        climbs = STARTS
+        if spread is None:  # a window search ends within a cell of the place: fewer climbs suffice
+            climbs, spread = STARTS // 2, spread_of(AFTER_WINDOW_M, AFTER_WINDOW_RAD)
+        match = search_pose(scan, [PoseHypothesis(start, spread)], self._rng, climbs=climbs)
         unseen = scan.unseen_share(match.pose, UNSEEN_WALL)
         if unseen > most_unseen:
             return LITTLE_IN_COMMON
@@ -347,8 +346,3 @@ class ClosureSearch:
             return True
         least = RIVAL_SHARE * own.score
         return self._searched(submap, points, window, least, found.pose) is not None
-
-
-def _around(coarse: F64) -> PoseHypothesis:
-    """Return the start of the fine search around a window search's result."""
-    return PoseHypothesis(coarse, spread_of(AFTER_WINDOW_M, AFTER_WINDOW_RAD))

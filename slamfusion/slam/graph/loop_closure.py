@@ -1,6 +1,6 @@
 """Loop closures: which submaps are searched, which results are accepted, and relocalization.
 
-A closure that moves the robot far waits in ``PendingClosures`` until others agree. A kidnapped
+A closure that moves the robot far waits until others agree. A kidnapped
 robot is searched near its odometry and then everywhere. Rooms look alike: every place where
 a scan fits is a hypothesis that predicts where the next scans must fit too. The robot is
 relocalized when one hypothesis has been confirmed over a distance, no other is left, and every old
@@ -45,38 +45,34 @@ class PendingClosure:
     how: How
 
 
-class PendingClosures(Stateful):
-    """Closures of the last nodes that wait for others to agree."""
+def confirmed_by_others(
+    waiting: list[PendingClosure], closure: PendingClosure, pose: Pose2
+) -> list[PendingClosure]:
+    """Return the closures that are now accepted, this one among them; often none.
 
-    STATE = ("closures",)
-
-    def __init__(self) -> None:
-        self.closures: list[PendingClosure] = []
-
-    def confirmed(self, closure: PendingClosure, pose: Pose2) -> list[PendingClosure]:
-        """Return the closures that are now accepted, this one among them; often none.
-
-        ``pose`` is that of its node in the map frame, before any correction.
-        """
-        number = closure.constraint.end
-        moved = closure.correction.compose(pose)
-        self.closures = [c for c in self.closures if number - c.constraint.end <= WAIT_NODES]
-        if closure.how == "known" and is_same_place(pose, moved, SMALL_STEP_M, SMALL_STEP_RAD):
-            return [closure]
-        earlier = [c for c in self.closures if c.constraint.end != number]
-        agreeing = [c for c in earlier if is_same_place(c.correction.compose(pose), moved)]
-        self.closures.append(closure)
-        least_nodes, least_m = AGREEING_NODES, 0.0
-        if closure.how != "known":  # see ``Relocalization`` for those that are found anywhere
-            least_nodes, least_m = ODOMETRY_NODES, ODOMETRY_M
-        nodes = {c.constraint.end for c in agreeing}
-        driven_m = closure.travelled_m - min((c.travelled_m for c in agreeing), default=math.inf)
-        if len(nodes) + 1 < least_nodes or driven_m < least_m:
-            return []
-        if closure.how != "known" and len(earlier) - len(agreeing) >= len(nodes):
-            return []
-        self.closures = []
-        return [closure, *agreeing]
+    Args:
+        waiting: the closures of the last nodes that wait for others to agree; changed in place.
+        pose: that of the closure's node in the map frame, before any correction.
+    """
+    number = closure.constraint.end
+    moved = closure.correction.compose(pose)
+    waiting[:] = [c for c in waiting if number - c.constraint.end <= WAIT_NODES]
+    if closure.how == "known" and is_same_place(pose, moved, SMALL_STEP_M, SMALL_STEP_RAD):
+        return [closure]
+    earlier = [c for c in waiting if c.constraint.end != number]
+    agreeing = [c for c in earlier if is_same_place(c.correction.compose(pose), moved)]
+    waiting.append(closure)
+    least_nodes, least_m = AGREEING_NODES, 0.0
+    if closure.how != "known":  # see ``Relocalization`` for those that are found anywhere
+        least_nodes, least_m = ODOMETRY_NODES, ODOMETRY_M
+    nodes = {c.constraint.end for c in agreeing}
+    driven_m = closure.travelled_m - min((c.travelled_m for c in agreeing), default=math.inf)
+    if len(nodes) + 1 < least_nodes or driven_m < least_m:
+        return []
+    if closure.how != "known" and len(earlier) - len(agreeing) >= len(nodes):
+        return []
+    waiting.clear()
+    return [closure, *agreeing]
 
 
 def is_same_place(
@@ -292,7 +288,7 @@ class LoopClosure(Stateful):
         self._local_map = local_map
         self._search = search
         self._health = health
-        self._pending = PendingClosures()
+        self._pending: list[PendingClosure] = []
         # By submap: the node last searched in it, and the distance travelled at the last closure.
         self._last_searched: dict[int, int] = {}
         self._linked_m: dict[int, float] = {}
@@ -429,7 +425,7 @@ class LoopClosure(Stateful):
         if closure.how == "anywhere":
             confirmed = self.relocalization.confirmed(closure, pose, self._local_map)
         else:
-            confirmed = self._pending.confirmed(closure, pose)
+            confirmed = confirmed_by_others(self._pending, closure, pose)
         if not confirmed:
             health.reject_closure(PENDING)
             return

@@ -13,7 +13,7 @@ from slamfusion.slam.graph.loop_closure import (
     WAIT_NODES,
     How,
     PendingClosure,
-    PendingClosures,
+    confirmed_by_others,
 )
 from slamfusion.slam.graph.map_graph import Constraint
 
@@ -51,13 +51,13 @@ def moving(x: float, y: float, yaw_rad: float) -> Pose2:
 
 
 def test_a_big_step_waits_for_one_that_says_the_same():
-    pending = PendingClosures()
+    pending: list[PendingClosure] = []
     first, second = closure_of(7, BIG), closure_of(9, BIG)
-    assert pending.confirmed(first, HERE) == []
-    assert pending.confirmed(second, HERE) == [second, first]
-    assert pending.closures == []
+    assert confirmed_by_others(pending, first, HERE) == []
+    assert confirmed_by_others(pending, second, HERE) == [second, first]
+    assert pending == []
     # The next one starts from nothing.
-    assert pending.confirmed(closure_of(10, BIG), HERE) == []
+    assert confirmed_by_others(pending, closure_of(10, BIG), HERE) == []
 
 
 LOST: tuple[How, ...] = ("odometry",)
@@ -65,11 +65,11 @@ LOST: tuple[How, ...] = ("odometry",)
 
 def told(how: How, ones: list[tuple[int, Pose2]], every_m: float = 1.0) -> list[int]:
     """Return how many closures of a lost robot were believed, after each of them."""
-    pending = PendingClosures()
+    pending: list[PendingClosure] = []
     return [
         len(
-            pending.confirmed(
-                closure_of(number, correction, travelled_m=every_m * number, how=how), HERE
+            confirmed_by_others(
+                pending, closure_of(number, correction, travelled_m=every_m * number, how=how), HERE
             )
         )
         for number, correction in ones
