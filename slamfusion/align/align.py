@@ -56,18 +56,12 @@ def align_grids(
     """
     check_resampling([reference, moving], config.normalize, "aligning")
     resolution = common_resolution([reference, moving], config.normalize)
-    still, moved = (
-        _features(grid, resolution, config.normalize, device) for grid in (reference, moving)
-    )
-    return align_pair(Pair(still, moved), config.align, start)
-
-
-def _features(
-    grid: OccupancyGrid, resolution: float, config: NormalizeConfig, device: ComputeDevice
-) -> GridFeatures:
-    """Return the features of a grid; the last small ones are kept: one truth has many maps."""
-    make = _kept if grid.cells.size <= KEPT_CELLS else _kept.__wrapped__
-    return make(grid, resolution, config, device)
+    features = []
+    for grid in (reference, moving):
+        # The last small ones are kept: one truth has many maps.
+        make = _kept if grid.cells.size <= KEPT_CELLS else _kept.__wrapped__
+        features.append(make(grid, resolution, config.normalize, device))
+    return align_pair(Pair(*features), config.align, start)
 
 
 @lru_cache(maxsize=2)

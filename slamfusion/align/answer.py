@@ -59,7 +59,12 @@ def conclude(
     ``found`` has at least one motion; ``start`` is where the answer is expected, without a window;
     ``began`` is ``time.perf_counter()`` at the start of the work on this pair.
     """
-    chances = _chances(pair, found, start, pairs)
+    # More wrong answers look right on large ground, fewer near a start.
+    trials = pairs * max(1.0, meeting_cells(pair) * pair.resolution**2 / GROUND_ONE_M2)
+    chances = Chances(trials, prior=found.prior)
+    if found.search != "window" and start is not None:
+        prior = prior_within(pair, DISTINCT_CELLS, APART_RAD)
+        chances = Chances(trials, pair.motion_of(start), prior)
     answer = best_answer(pair, found, chances)
     best, statistics = _placed(pair, found, answer)
     overlap, error = statistics["overlap"], statistics.pop("error")
@@ -95,16 +100,6 @@ def conclude(
         evidence=evidence,
         decision=decision.kind,
     )
-
-
-def _chances(pair: Pair, found: SearchResult, start: Pose2 | None, pairs: int) -> Chances:
-    """Return the prior of wrong answers: more on large ground, fewer near a start."""
-    ground_m2 = meeting_cells(pair) * pair.resolution**2
-    trials = pairs * max(1.0, ground_m2 / GROUND_ONE_M2)
-    if found.search != "window" and start is not None:
-        prior = prior_within(pair, DISTINCT_CELLS, APART_RAD)
-        return Chances(trials, pair.motion_of(start), prior)
-    return Chances(trials, prior=found.prior)
 
 
 def _decided(

@@ -83,21 +83,19 @@ def refine(
             there, back = both_ways(local[moves], centre_mov)
             given = np.array((*there, *back, widths[moves]), dtype=np.float32)
             terms = pair.device.refine_terms(*sides, given, pivot)
-            change = _solve(terms, widths[moves], reach)
+            # The damped Gauss-Newton step of each pose, no longer than its scale.
+            h = terms.take(SYMMETRIC, axis=1)
+            h[:, DIAGONAL] += np.maximum(terms[:, 9:], 1.0) * (1e-3, 1e-3, 1e-3 * (reach * reach))
+            back_step = np.linalg.solve(h.reshape(-1, 3, 3), terms[:, 6:9, None])[:, :, 0]
+            change: F64 = np.asarray(-back_step)
+            shift, turn = np.hypot(change[:, 0], change[:, 1]), np.abs(change[:, 2]) * reach
+            length = shift / widths[moves] + turn / widths[moves]
+            change /= np.maximum(1.0, length)[:, None]
             local[moves] = _apply(local[moves], change, pivot)
             moves = moves[(np.abs(change) * (1.0, 1.0, reach) >= SETTLED_CELLS).any(axis=1)]
             if not len(moves):
                 break
     return np.asarray(local * np.array([step, step, 1.0]))
-
-
-def _solve(terms: F64, scales: F64, reach: float) -> F64:
-    """Return the damped Gauss-Newton step (P, 3) of each pose, no longer than its scale."""
-    h = terms.take(SYMMETRIC, axis=1)
-    h[:, DIAGONAL] += np.maximum(terms[:, 9:], 1.0) * (1e-3, 1e-3, 1e-3 * (reach * reach))
-    step = -np.linalg.solve(h.reshape(-1, 3, 3), terms[:, 6:9, None])[:, :, 0]
-    length = np.hypot(step[:, 0], step[:, 1]) / scales + np.abs(step[:, 2]) * reach / scales
-    return np.asarray(step / np.maximum(1.0, length)[:, None])
 
 
 def _apply(motions: F64, change: F64, pivot: tuple[float, float]) -> F64:

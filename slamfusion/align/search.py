@@ -200,8 +200,17 @@ def _descend(pair: Pair, leads: _Leads) -> _Leads:
         )  # fmt: skip
         best = values.argmax(axis=1)
         motions = leads.motions[order] + neighbour_offsets(shift, turn)[best]
-        yaw_step = leads.yaw_step * (half / leads.step)
-        motions, found = _apart(motions, values.max(axis=1), float(half), yaw_step)
+        yaw_step, found = leads.yaw_step * (half / leads.step), values.max(axis=1)
+        # The best motion of each box of two cells and turns, best first.
+        order = np.argsort(-found, kind="stable")
+        motions, found = motions[order], found[order]
+        places = np.column_stack((motions[:, :2], np.mod(motions[:, 2], 2.0 * math.pi)))
+        boxes = np.floor(places / (2.0 * np.array([half, half, yaw_step]))).astype(np.int64)
+        # One number for each box: comparing rows takes ten times as long.
+        boxes -= boxes.min(axis=0, initial=0)
+        numbers = np.ravel_multi_index(tuple(boxes.T), tuple(boxes.max(axis=0, initial=0) + 1))
+        kept = np.sort(np.unique(numbers, return_index=True)[1])
+        motions, found = motions[kept], found[kept]
         leads = _leads(pair, motions, half, yaw_step, found, points)
     return leads
 
@@ -213,20 +222,6 @@ def greatest_rows(values: F64, most: int) -> npt.NDArray[np.intp]:
         place = len(values) - most
         chosen = np.nonzero(values >= np.partition(values, place)[place])[0]
     return chosen[np.argsort(-values[chosen], kind="stable")][:most]
-
-
-def _apart(motions: F64, values: F64, shift: float, turn: float) -> tuple[F64, F64]:
-    """Return the best motion of each box of two cells and turns, best first."""
-    order = np.argsort(-values, kind="stable")
-    yaw = np.mod(motions[order, 2], 2.0 * math.pi)
-    sides = np.array([2.0 * shift, 2.0 * shift, 2.0 * turn])
-    boxes = np.floor(np.column_stack((motions[order, :2], yaw)) / sides).astype(np.int64)
-    # One number for each box: comparing rows takes ten times as long.
-    boxes -= boxes.min(axis=0, initial=0)
-    numbers = np.ravel_multi_index(tuple(boxes.T), tuple(boxes.max(axis=0, initial=0) + 1))
-    _, first = np.unique(numbers, return_index=True)
-    kept = order[np.sort(first)]
-    return motions[kept], values[kept]
 
 
 def search(

@@ -12,10 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.align.features import DIRECTIONS, Level, spread_sample
+from slamfusion.align.features import DIRECTIONS, spread_sample
 from slamfusion.align.pair import Pair
-from slamfusion.compute import ComputeDevice
-from slamfusion.compute.arrays import DeviceArray
 from slamfusion.compute.lattice import fixed_poses, grouped, shift_spans
 from slamfusion.compute.layout import SHIFT_LANES
 from slamfusion.geometry import F64
@@ -137,7 +135,7 @@ def score_shifts(
     centre = np.array(pair.moving.centre) / step
     from_mov = spread_sample(mov.points, points)
     from_ref = spread_sample(ref.points, points)
-    from_mov, from_ref = from_mov[grouped(from_mov)], from_ref[grouped(from_ref)]
+    from_mov, from_ref = from_mov[grouped(from_mov)], from_ref[grouped(from_ref)] // 2
     own = from_mov / 2.0 - centre
     radii = np.hypot(own[:, 0], own[:, 1])
     rim = max(1.0, float(np.percentile(radii, RIM_PERCENTILE)))
@@ -146,16 +144,46 @@ def score_shifts(
     reach = math.ceil(float(radii.max())) + 1
     rows = shift_range(ref.shape[0], reach, window.start[1] / step, window, step)
     cols = shift_range(ref.shape[1], reach, window.start[0] / step, window, step)
-    surface = _ShiftSurface(ref, mov, rows, cols, reach)
+    height, width = rows[1] - rows[0], cols[1] - cols[0]
+    lanes = -(-width // SHIFT_LANES) * SHIFT_LANES
     ours = pair.reference.evidence_table(step, COARSE_SIGMA, COARSE_TOP)
     theirs = pair.moving.evidence_table(step, COARSE_SIGMA, COARSE_TOP)
-    on_ref, on_mov = pair.reference.field(step, ours), pair.moving.field(step, theirs)
-    width = cols[1] - cols[0]
+    device, on_mov = pair.device, pair.moving.field(step, theirs)
+    # Moving walls on the reference's field.
+    ahead_shape = (height + 2 * reach + 1, lanes + 2 * reach + 1)
+    corner = fixed_poses((cols[0] - reach, rows[0] - reach, 0.0))
+    ahead = device.warp(pair.reference.field(step, ours), corner, ahead_shape, ours.base)
+    low, left = reach - rows[0], reach - cols[0]
+    whole = np.array([(low, low + ref.shape[0], left, left + ref.shape[1])])
+    # Reference walls on the moving field, turned; read with shifts running backwards.
+    back_shape = (ref.shape[0] + height, ref.shape[1] + lanes)
+    x0, y0 = 0.5 - cols[0] - width, 0.5 - rows[0] - height
+    corners = np.array([(x, y) for y in (0, mov.shape[0]) for x in (0, mov.shape[1])]) - centre
+    back_offsets = (from_ref[:, 1] * back_shape[1] + from_ref[:, 0]).astype(np.int32)[None, :]
+    # Batches of yaws that fit into memory.
+    held = math.prod(back_shape) + 2 * np.dtype(np.int32).itemsize * height * lanes
     peaks = []
-    for some in np.array_split(yaws, surface.batches(len(yaws))):
-        forward = surface.forward(on_ref, ours.base, some, own, pair.device)
-        backward = surface.backward(on_mov, theirs.base, some, from_ref // 2, centre, pair.device)
-        found = pair.device.tile_peaks(forward, backward, width)
+    for some in np.array_split(yaws, min(len(yaws), -(-len(yaws) * held // BATCH_BYTES))):
+        cos, sin = np.cos(some)[:, None], np.sin(some)[:, None]
+        x = np.floor(cos * own[:, 0] - sin * own[:, 1] + 0.5).astype(np.int32) + reach
+        y = np.floor(sin * own[:, 0] + cos * own[:, 1] + 0.5).astype(np.int32) + reach
+        spans, offsets = shift_spans(y, x, whole), y * ahead_shape[1] + x
+        forward = device.correlate(ahead, offsets, (height, lanes), spans, ours.base)
+        poses = np.column_stack(
+            (cos * x0 + sin * y0 + centre[0], -sin * x0 + cos * y0 + centre[1], -some)
+        )
+        planes = device.warp(on_mov, fixed_poses(poses), back_shape, theirs.base)
+        # The rows and columns, from and to, of the field in the planes.
+        sides = []
+        for at in (
+            sin * corners[:, 0] + cos * corners[:, 1] - y0,
+            cos * corners[:, 0] - sin * corners[:, 1] - x0,
+        ):
+            sides += [np.floor(at.min(axis=1)) - 1, np.ceil(at.max(axis=1)) + 1]
+        boxes = np.stack(sides, axis=1).astype(np.int32)
+        spans = shift_spans(from_ref[None, :, 1], from_ref[None, :, 0], boxes)
+        backward = device.correlate(planes, back_offsets, (height, lanes), spans, theirs.base)
+        found = device.tile_peaks(forward, backward, width)
         peaks.append([part.reshape(len(some), -1) for part in found])
     values, places = (np.concatenate(parts) for parts in zip(*peaks, strict=True))
     floor = len(from_mov) * ours.base + len(from_ref) * theirs.base
@@ -175,78 +203,6 @@ def _yaw_lattice(step: float, window: SearchWindow) -> tuple[F64, float]:
         return np.array([window.start[2]]), step
     own = window.yaw_rad / half
     return np.asarray(window.start[2] + np.arange(-half, half + 1) * own), own
-
-
-class _ShiftSurface:
-    """The padded planes and offsets that turn shifts into contiguous reads."""
-
-    def __init__(
-        self, ref: Level, mov: Level, rows: tuple[int, int], cols: tuple[int, int], reach: int
-    ) -> None:
-        self.ref, self.mov = ref, mov
-        self.rows, self.cols, self.reach = rows, cols, reach
-        self.height = rows[1] - rows[0]
-        self.width = cols[1] - cols[0]
-        self.lanes = -(-self.width // SHIFT_LANES) * SHIFT_LANES
-
-    def batches(self, yaws: int) -> int:
-        """Return the number of batches in which yaws fit into memory."""
-        plane = (self.ref.shape[0] + self.height) * (self.ref.shape[1] + self.lanes)
-        scores = 2 * np.dtype(np.int32).itemsize * self.height * self.lanes
-        return min(yaws, -(-yaws * (plane + scores) // BATCH_BYTES))
-
-    def forward(
-        self, field: DeviceArray[np.uint8], base: int, yaws: F64, own: F64, device: ComputeDevice
-    ) -> DeviceArray[np.int32]:
-        """Moving walls on the reference's field: scores (K, shifts)."""
-        reach = self.reach
-        plane_shape = (self.height + 2 * reach + 1, self.lanes + 2 * reach + 1)
-        corner = (self.cols[0] - reach, self.rows[0] - reach, 0.0)
-        plane = device.warp(field, fixed_poses(corner), plane_shape, base)
-        cos, sin = np.cos(yaws)[:, None], np.sin(yaws)[:, None]
-        x = np.floor(cos * own[:, 0] - sin * own[:, 1] + 0.5).astype(np.int32)
-        y = np.floor(sin * own[:, 0] + cos * own[:, 1] + 0.5).astype(np.int32)
-        y, x = y + reach, x + reach
-        row, col = reach - self.rows[0], reach - self.cols[0]
-        box = (row, row + self.ref.shape[0], col, col + self.ref.shape[1])
-        spans = shift_spans(y, x, np.array([box]))
-        offsets = y * plane_shape[1] + x
-        return device.correlate(plane, offsets, (self.height, self.lanes), spans, base)
-
-    def backward(
-        self,
-        field: DeviceArray[np.uint8],
-        base: int,
-        yaws: F64,
-        points: I32,
-        centre: F64,
-        device: ComputeDevice,
-    ) -> DeviceArray[np.int32]:
-        """Reference walls on the moving field, turned; read with shifts running backwards."""
-        plane_shape = (self.ref.shape[0] + self.height, self.ref.shape[1] + self.lanes)
-        dx = 0.5 - self.cols[0] - self.width
-        dy = 0.5 - self.rows[0] - self.height
-        cos, sin = np.cos(yaws), np.sin(yaws)
-        poses = np.stack(
-            (cos * dx + sin * dy + centre[0], -sin * dx + cos * dy + centre[1], -yaws), axis=1
-        )
-        planes = device.warp(field, fixed_poses(poses), plane_shape, base)
-        spans = shift_spans(
-            points[None, :, 1], points[None, :, 0], self._boxes(yaws, centre, dx, dy)
-        )
-        offsets = (points[:, 1] * plane_shape[1] + points[:, 0]).astype(np.int32)[None, :]
-        return device.correlate(planes, offsets, (self.height, self.lanes), spans, base)
-
-    def _boxes(self, yaws: F64, centre: F64, dx: float, dy: float) -> npt.NDArray[np.int32]:
-        """Return (K, 4) the rows and columns, from and to, of the field in the planes."""
-        height, width = self.mov.shape
-        corners = np.array([(0, 0), (width, 0), (0, height), (width, height)])
-        x, y = (corners - centre).T
-        cos, sin = np.cos(yaws)[:, None], np.sin(yaws)[:, None]
-        sides = []
-        for at in (sin * x + cos * y - dy, cos * x - sin * y - dx):
-            sides += [np.floor(at.min(axis=1)) - 1, np.ceil(at.max(axis=1)) + 1]
-        return np.stack(sides, axis=1).astype(np.int32)
 
 
 def parallel_shifts(pair: Pair) -> ShiftScores:

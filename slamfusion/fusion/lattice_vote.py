@@ -446,19 +446,14 @@ def warp_onto(
         # Without rotation all cells move by the same number of cells.
         first = np.ones(1, dtype=np.int64)
         (row,), (col,) = fixed_cells(pose[0], first, first)
-        return _shifted(grid.cells, int(row), int(col), box)
+        out = np.full(shape, UNKNOWN, dtype=np.int8)
+        read = CellBox(int(row), int(col), int(row) + box.height, int(col) + box.width)
+        known = overlap(read, CellBox(0, 0, *grid.shape))
+        if known is not None:
+            out[slices(known, read.row0, read.col0)] = grid.cells[slices(known, 0, 0)]
+        return out
     warped = device.warp(device.upload(grid.cells), pose, shape, UNKNOWN)
     return np.asarray(device.download(warped)[0])
-
-
-def _shifted(cells: npt.NDArray[np.int8], row: int, col: int, box: CellBox) -> npt.NDArray[np.int8]:
-    """Return the cells of a box from a row and column on, unknown outside."""
-    out = np.full((box.height, box.width), UNKNOWN, dtype=np.int8)
-    read = CellBox(row, col, row + box.height, col + box.width)
-    known = overlap(read, CellBox(0, 0, *cells.shape))
-    if known is not None:
-        out[slices(known, row, col)] = cells[slices(known, 0, 0)]
-    return out
 
 
 def contradicting(

@@ -95,15 +95,12 @@ def align_packed(
     align: Callable[..., Alignment],
     device: ComputeDevice,
 ) -> Alignment:
-    """Align two packed grids."""
-    return align(Pair(_features(reference, device), _features(moving, device)), start=start)
-
-
-def _features(packed: Packed, device: ComputeDevice) -> GridFeatures:
-    """Return the features of a grid; small ones are kept for their next pairs."""
-    data, is_small = packed
-    make = _kept if is_small else _kept.__wrapped__
-    return make(data, device)
+    """Align two packed grids; the features of small ones are kept for their next pairs."""
+    features = []
+    for data, is_small in (reference, moving):
+        make = _kept if is_small else _kept.__wrapped__
+        features.append(make(data, device))
+    return align(Pair(*features), start=start)
 
 
 @lru_cache(maxsize=16)

@@ -292,30 +292,18 @@ def agreeing(
     found = {frozenset((gap.a, gap.b)): gap for gap in gaps}
     if len(names) < 2:
         return tuple(names), {}
-    for late_limit_m in (LOST_LIMITS * limit_m, math.inf):
-        members = _largest_group(names, found, limit_m, late_limit_m)
-        if members:
+    sizes = range(len(names), 1, -1)
+    for late_limit_m, size in itertools.product((LOST_LIMITS * limit_m, math.inf), sizes):
+        agree = []
+        for members in itertools.combinations(names, size):
+            inside = [found[frozenset(pair)] for pair in itertools.combinations(members, 2)]
+            if all(gap.median_m <= limit_m and gap.late_m <= late_limit_m for gap in inside):
+                agree.append((sum(gap.median_m for gap in inside), members))
+        if agree:
+            _, members = min(agree, key=lambda item: item[0])
             out = [name for name in names if name not in members]
             return members, {name: _why(name, members, found) for name in out}
     return (), {name: _why(name, names, found) for name in names}
-
-
-def _largest_group(
-    names: Sequence[str],
-    gaps: Mapping[frozenset[str], PathGap],
-    limit_m: float,
-    late_limit_m: float,
-) -> tuple[str, ...]:
-    """Return the largest group of which every two agree, of equals the closest; may be empty."""
-    for size in range(len(names), 1, -1):
-        found = []
-        for members in itertools.combinations(names, size):
-            inside = [gaps[frozenset(pair)] for pair in itertools.combinations(members, 2)]
-            if all(gap.median_m <= limit_m and gap.late_m <= late_limit_m for gap in inside):
-                found.append((sum(gap.median_m for gap in inside), members))
-        if found:
-            return min(found, key=lambda item: item[0])[1]
-    return ()
 
 
 def _why(name: str, others: Sequence[str], gaps: Mapping[frozenset[str], PathGap]) -> str:

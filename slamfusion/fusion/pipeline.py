@@ -89,14 +89,17 @@ def align_inputs(
     ``is_stored``: the vote runs tile by tile, with little memory.
     """
     check_votes(config.vote)
-    _check_names(grids)
+    if not grids:
+        raise AlignmentError("wanted at least one map to fuse, found none")
+    names = [grid.name for grid in grids]
+    if twice := sorted({name for name in names if names.count(name) > 1}):
+        raise ConfigError(f"inputs need distinct names; given twice: {', '.join(twice)}")
     odd = odd_resolutions({grid.name: grid.resolution for grid in grids})
     copies = _copies(grids, config, starts)
     voters = [grid for grid in grids if grid.name not in copies and grid.name not in odd]
     prepared = PreparedInputs(voters, config, device, is_stored=is_stored)
     reasons = {name: reason for name, reason in odd.items() if name not in copies}
     reasons |= prepared.reasons
-    names = [grid.name for grid in grids]
     try:
         group = align_group(
             prepared.features, reasons, config, names, progress, second_look, starts, executor
@@ -127,7 +130,12 @@ def align_inputs(
     }
     for grid in grids:
         if grid.name in copies:
-            others[grid.name] = _copy(grid, copies[grid.name], group.alignments | shown)
+            # At the voter's place, without a vote.
+            voter = copies[grid.name]
+            own = (group.alignments | shown).get(voter)
+            own = None if own is None else replace(own, moving=grid.name)
+            reason = f"the same map as {voter} (equal cells, resolution and origin): one voter"
+            others[grid.name] = InputRecord(grid, own, False, reason, copy_of=voter)
     return AlignedInputs((group, *group.others), group.pairs, prepared.lattice, others)
 
 
@@ -167,16 +175,6 @@ def _wrong_resolutions(
     return {name: said for name, said in words.items() if said is not None}
 
 
-def _check_names(grids: Sequence[OccupancyGrid]) -> None:
-    """Reject an empty list, and names given twice."""
-    if not grids:
-        raise AlignmentError("wanted at least one map to fuse, found none")
-    names = [grid.name for grid in grids]
-    twice = sorted({name for name in names if names.count(name) > 1})
-    if twice:
-        raise ConfigError(f"inputs need distinct names; given twice: {', '.join(twice)}")
-
-
 def _copies(
     grids: Sequence[OccupancyGrid], config: FusionConfig, starts: Starts | None
 ) -> dict[str, str]:
@@ -192,14 +190,3 @@ def _copies(
             "--keep-duplicates counts each copy"
         )
     return copies
-
-
-def _copy(
-    grid: OccupancyGrid, voter: str, alignments: Mapping[str, Alignment | None]
-) -> InputRecord:
-    """Return the record of a copy: at the voter's place, without a vote."""
-    own = alignments.get(voter)
-    if own is not None:
-        own = replace(own, moving=grid.name)
-    reason = f"the same map as {voter} (equal cells, resolution and origin): one voter"
-    return InputRecord(grid, own, False, reason, copy_of=voter)

@@ -109,13 +109,9 @@ class Trust:
             for name in ("names", "agreement", "weights", "precision")
         )
 
-    def of(self, name: str) -> int:
-        """Return the position of a map."""
-        return self.names.index(name)
-
     def part(self, names: Sequence[str]) -> Trust:
         """Return the trust in some of the maps."""
-        at = [self.of(name) for name in names]
+        at = [self.names.index(name) for name in names]
         return Trust(
             tuple(names),
             self.agreement[at],

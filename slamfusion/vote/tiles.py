@@ -8,7 +8,7 @@ Maps in memory, packed maps of a store and the layers of the live fusion are all
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any, get_args
@@ -286,36 +286,24 @@ class TileVoter:
             codes = [own.view(np.uint8) for own in shown.values()]
             _check_count(codes)
             counts = counts or count_walls(codes, self.shift, self.phase(wide))
-            votes = self._weighed(tile, wide, codes, trust, counts, device)
+            weights, ranks = local_weights(counts, trust, self.resolution)
+            # Walls up to here affect a cell of the tile.
+            reach = same_wall_cells(self.resolution)
+            box = grown_inside(tile, reach, wide)
+            inner = (slice(None), *self.blocks(box, wide))
+            votes = device.vote_walls(
+                [np.ascontiguousarray(c[slices(box, wide.row0, wide.col0)]) for c in codes],
+                np.ascontiguousarray(weights[inner]),
+                np.ascontiguousarray(ranks[inner]),
+                trust.weights,
+                reach=reach,
+                shift=self.shift,
+                phase=self.phase(box),
+            ).on(slices(tile, box.row0, box.col0))
             worst = self.worst(wide, counts, trust)
         return DecidedTile(
             votes.fused, votes.agreement, votes.phantom_cells, tuple(shown), votes.dissent, worst
         )
-
-    def _weighed(
-        self,
-        tile: CellBox,
-        wide: CellBox,
-        codes: Sequence[U8],
-        trust: Trust,
-        counts: WallCounts,
-        device: ComputeDevice,
-    ) -> Votes:
-        """Let walls be voted for by weight."""
-        weights, ranks = local_weights(counts, trust, self.resolution)
-        # Walls up to here affect a cell of the tile.
-        reach = same_wall_cells(self.resolution)
-        box = grown_inside(tile, reach, wide)
-        inner = (slice(None), *self.blocks(box, wide))
-        return device.vote_walls(
-            [np.ascontiguousarray(c[slices(box, wide.row0, wide.col0)]) for c in codes],
-            np.ascontiguousarray(weights[inner]),
-            np.ascontiguousarray(ranks[inner]),
-            trust.weights,
-            reach=reach,
-            shift=self.shift,
-            phase=self.phase(box),
-        ).on(slices(tile, box.row0, box.col0))
 
     def worst(
         self, box: CellBox, counts: WallCounts, trust: Trust

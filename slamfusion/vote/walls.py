@@ -89,7 +89,13 @@ def _codes_of_strip(cells: I8, resolution: float) -> U8:
         return known
     same, near = same_wall_cells(resolution), max(1, math.floor(TOLERANCE_M / resolution))
     fronts = _fronts(known)
-    ways = _thick(fronts, walls, same)
+    # Cells behind a face take its ways.
+    ways = fronts.copy()
+    for _ in range(same):
+        taken = _spread(_spread(ways, 0, 1), 1, 1) * (walls * (ways == 0))
+        if not taken.any():
+            break
+        ways |= taken
     # Three cells wide: walls of two maps are seldom quite parallel.
     elsewhere = _spread(_spread(ways & ALONG_ROW, 0, 1), 1, same)
     elsewhere |= _spread(_spread(ways & ALONG_COL, 1, 1), 0, same)
@@ -150,18 +156,6 @@ def _fronts(known: U8) -> U8:
             faces = faces | ahead(free, cells)
         faces = faces & (ahead(walls, 0) > ahead(walls, 1))
         ways |= faces * np.uint8(1 << number)
-    return ways
-
-
-def _thick(fronts: U8, walls: U8, reach: int) -> U8:
-    """Return the ways that wall cells face, (H, W) bits; cells behind a face take its ways."""
-    ways = fronts.copy()
-    for _ in range(reach):
-        inside = walls * (ways == 0)
-        taken = _spread(_spread(ways, 0, 1), 1, 1) * inside
-        if not taken.any():
-            break
-        ways |= taken
     return ways
 
 
