@@ -15,7 +15,7 @@ from slamfusion.cli.results import print_by_case, table_option
 from slamfusion.jobs.documents import number, p_text
 
 if TYPE_CHECKING:
-    from slamfusion.jobs.compare import ComparedResults, ComparisonJson
+    from slamfusion.jobs.compare import ComparedResults, Comparison
 
 # Of a table: figures of several sizes.
 DIGITS = 4
@@ -80,15 +80,15 @@ def _print_figures(found: ComparedResults) -> None:
     has_names = len(found.results) > 2
     rows = [
         [
-            figure_of(item["figure"]).label,
-            *([item["first"], item["second"]] if has_names else []),
-            *_numbers(item["mean_first"], item["mean_second"], item["difference"]),
-            item["better"] or NOTHING,
-            p_text(item["p_holm"]),
+            figure_of(item.figure).label,
+            *([item.first, item.second] if has_names else []),
+            *_numbers(item.mean_first, item.mean_second, item.difference),
+            item.better or NOTHING,
+            p_text(item.p_holm),
             _interval(item),
-            p_text(item["p_rank"]),
-            *_numbers(item["std_first"], item["std_second"]),
-            " and ".join(map(str, dict.fromkeys((item["count_first"], item["count_second"])))),
+            p_text(item.p_rank),
+            *_numbers(item.std_first, item.std_second),
+            " and ".join(map(str, dict.fromkeys((item.count_first, item.count_second)))),
         ]
         for item in found.figures
     ]
@@ -115,7 +115,7 @@ def _numbers(*values: float | None) -> list[str]:
     return [number(value, DIGITS) for value in values]
 
 
-def _interval(item: ComparisonJson) -> str:
+def _interval(item: Comparison) -> str:
     """Return the interval of the difference as a cell; a dash where there is none."""
-    low, high = _numbers(item["low"], item["high"])
+    low, high = _numbers(item.low, item.high)
     return NOTHING if low == NOTHING else f"{low} to {high}"

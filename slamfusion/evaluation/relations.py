@@ -99,13 +99,11 @@ class RelationErrors:
     """(M,), size of the remaining rotation, 0 to pi."""
 
     def __post_init__(self) -> None:
-        figures = {
-            "translation": ErrorStatistics.of(self.translation_m),
-            "rotation_deg": ErrorStatistics.of(np.rad2deg(self.rotation_rad)),
-            "relations_used": len(self.translation_m),
-        }
-        for name, value in figures.items():
-            object.__setattr__(self, name, value)
+        vars(self).update(
+            translation=ErrorStatistics.of(self.translation_m),
+            rotation_deg=ErrorStatistics.of(np.rad2deg(self.rotation_rad)),
+            relations_used=len(self.translation_m),
+        )
 
     def is_revisit(self) -> npt.NDArray[np.bool_]:
         """Return which relations join two visits of one place, (M,): over ``REVISIT_S`` apart."""
@@ -123,9 +121,10 @@ class RelationErrorsAtScans(RelationErrors):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        degrees = mean_interval(np.rad2deg(self.rotation_rad))
-        object.__setattr__(self, "translation_mean_95", mean_interval(self.translation_m))
-        object.__setattr__(self, "rotation_deg_mean_95", degrees)
+        vars(self).update(
+            translation_mean_95=mean_interval(self.translation_m),
+            rotation_deg_mean_95=mean_interval(np.rad2deg(self.rotation_rad)),
+        )
 
 
 def read_relations(path: str | Path) -> Relations:

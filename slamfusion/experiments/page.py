@@ -17,7 +17,7 @@ from slamfusion.evaluation.measured import Row, figure_of
 from slamfusion.evaluation.statistics import correct_by_holm
 from slamfusion.experiments.runs import Inputs
 from slamfusion.io import AtomicFiles
-from slamfusion.jobs.compare import SIGNIFICANT, ComparisonJson, compare_values
+from slamfusion.jobs.compare import SIGNIFICANT, Comparison, compare_values
 from slamfusion.jobs.documents import number, p_text, spread
 from slamfusion.jobs.records import Circumstances
 from slamfusion.jobs.results import KEYS, markdown, results_table
@@ -110,7 +110,7 @@ class ExperimentDocument:
     """Of the experiment."""
     summaries: Sequence[SummaryJson]
     """Every figure of every method in every case."""
-    comparisons: Sequence[ComparisonJson]
+    comparisons: Sequence[Comparison]
     """The methods that are compared."""
     against_best_input: Sequence[AgainstBest]
     """The fusions compared with the best input of each case; empty without fusions."""
@@ -167,8 +167,8 @@ class Experiment:
 
     @cached_property
     def comparisons(self) -> pd.DataFrame:
-        """The tests of ``pairs``, in each case with both methods; see ``ComparisonJson``."""
-        found: list[ComparisonJson] = []
+        """The tests of ``pairs``, in each case with both methods; see ``Comparison``."""
+        found: list[Comparison] = []
         for case, own in self.table.groupby("case", sort=False):
             for figure, pairs in self.pairs.items():
                 runs = own[own["figure"] == figure]
@@ -185,11 +185,11 @@ class Experiment:
                     if set(pair) <= set(runs)
                 ]
                 if self.is_paired:
-                    corrected = correct_by_holm([item["p_t"] or 0.0 for item in part])
+                    corrected = correct_by_holm([item.p_t or 0.0 for item in part])
                     for item, p_t in zip(part, corrected, strict=True):
-                        item["p_t"] = p_t
+                        item.p_t = p_t
                 found += part
-        return pd.DataFrame(found, columns=list(ComparisonJson.__annotations__))
+        return pd.DataFrame(map(vars, found), columns=list(Comparison.__annotations__))
 
     # --- fusions --------------------------------------------------------------------------------
 

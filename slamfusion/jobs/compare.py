@@ -7,7 +7,7 @@ import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, TypedDict
+from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy.stats
@@ -34,7 +34,8 @@ NAMED_ROWS = 6
 _YARDSTICKS = {"truth", "truth image", "relations", "odometry", "scan odometry", "log", "distances"}
 
 
-class ComparisonJson(TypedDict):
+@dataclass(eq=False)
+class Comparison:
     """One figure of two results or methods."""
 
     figure: str
@@ -73,7 +74,7 @@ class ComparisonJson(TypedDict):
     """P-value of Wilcoxon's signed-rank test, or of Mann and Whitney's; not corrected."""
     p_pooled: float | None
     """P-value of Student's t-test of unpaired values with one variance, the test of [F16]."""
-    better: str | None
+    better: str | None = None
     """The results that are better beyond chance (p_holm below 0.05); null: neither."""
 
 
@@ -85,7 +86,7 @@ class ComparedResults:
     """The compared results, in the order given."""
     pairings: Sequence[str]
     """For every two results, which of their rows are pairs."""
-    figures: Sequence[ComparisonJson]
+    figures: Sequence[Comparison]
     """Every figure of every two results."""
     notes: Sequence[str]
     """What was not compared, and what makes the comparison doubtful."""
@@ -115,7 +116,7 @@ def compare_results(files: Sequence[str | Path]) -> ComparedResults:
             f"wanted two files of --save-results, or one with several methods of a case, found "
             f"{', '.join(map(str, paths)) or 'none'}; name another file"
         )
-    figures: list[ComparisonJson] = []
+    figures: list[Comparison] = []
     pairings, notes, apart, is_paired = [], [], [], set()
     for first, second in itertools.combinations(results, 2):
         keys, rows = _paired(first, second)
@@ -126,7 +127,7 @@ def compare_results(files: Sequence[str | Path]) -> ComparedResults:
             for name in a
             if name in b
         ]
-        own = [item for item in own if item["count_first"] and item["count_second"]]
+        own = [item for item in own if item.count_first and item.count_second]
         if not own:
             named = " and ".join(f"{item.name} ({item.command})" for item in (first, second))
             apart.append(f"{named} have no figure in common")
@@ -213,63 +214,57 @@ def compare_values(
     is_paired: bool,
     figure: str,
     case: str = "",
-) -> ComparisonJson:
+) -> Comparison:
     """Compare a figure."""
     if is_paired:
         both = first.notna() & second.notna()
         first, second = first[both], second[both]
     first, second = first.dropna(), second.dropna()
     tested = difference_test(first, second, paired=is_paired)
-    return {
-        "figure": figure,
-        "case": case,
-        "first": names[0],
-        "second": names[1],
-        "count_first": len(first),
-        "count_second": len(second),
-        "mean_first": float(first.mean()),
-        "std_first": float(first.std()),
-        "mean_second": float(second.mean()),
-        "std_second": float(second.std()),
-        "difference": float(first.mean() - second.mean()),
-        "low": tested.low,
-        "high": tested.high,
-        "p_t": tested.p_t,
-        "p_holm": tested.p_t,
-        "p_rank": tested.p_rank,
-        "p_pooled": tested.p_pooled,
-        "better": None,
-    }
+    return Comparison(
+        figure,
+        case,
+        *names,
+        count_first=len(first),
+        count_second=len(second),
+        mean_first=float(first.mean()),
+        std_first=float(first.std()),
+        mean_second=float(second.mean()),
+        std_second=float(second.std()),
+        difference=float(first.mean() - second.mean()),
+        p_holm=tested.p_t,
+        **tested._asdict(),
+    )
 
 
-def _correct(figures: Sequence[ComparisonJson]) -> None:
+def _correct(figures: Sequence[Comparison]) -> None:
     """Correct the p-values of each figure for several comparisons, and name the better."""
-    for name in {item["figure"] for item in figures}:
-        own = [item for item in figures if item["figure"] == name]
+    for name in {item.figure for item in figures}:
+        own = [item for item in figures if item.figure == name]
         larger = figure_of(name).larger_is_better
-        corrected = correct_by_holm([item["p_t"] or 0.0 for item in own])
+        corrected = correct_by_holm([item.p_t or 0.0 for item in own])
         for item, p_holm in zip(own, corrected, strict=True):
-            item["p_holm"] = p_holm
-            item["low"], item["high"] = _agreeing_interval(item, p_holm)
+            item.p_holm = p_holm
+            item.low, item.high = _agreeing_interval(item, p_holm)
             if larger is not None and p_holm < SIGNIFICANT:
-                is_first = (item["difference"] > 0.0) == larger
-                item["better"] = item["first"] if is_first else item["second"]
+                is_first = (item.difference > 0.0) == larger
+                item.better = item.first if is_first else item.second
 
 
-def _agreeing_interval(item: ComparisonJson, p_holm: float) -> tuple[float | None, float | None]:
+def _agreeing_interval(item: Comparison, p_holm: float) -> tuple[float | None, float | None]:
     """Return the interval that excludes zero exactly if ``p_holm`` is below ``SIGNIFICANT``."""
-    low, high, p_t = item["low"], item["high"], item["p_t"]
+    low, high, p_t = item.low, item.high, item.p_t
     if low is None or high is None or not p_t or not low < high:
         return low, high
     tails = 0.5 * SIGNIFICANT * np.array([p_t / p_holm, 1.0])
-    wide, usual = scipy.stats.t.isf(tails, item["count_first"] - 1)
+    wide, usual = scipy.stats.t.isf(tails, item.count_first - 1)
     middle, half = 0.5 * (low + high), 0.5 * (high - low) * wide / usual
     return float(middle - half), float(middle + half)
 
 
-def _too_few(figures: Sequence[ComparisonJson], is_paired: Collection[bool]) -> list[str]:
+def _too_few(figures: Sequence[Comparison], is_paired: Collection[bool]) -> list[str]:
     """Report that the rank test cannot be significant, with the least p that it can have."""
-    first, second = min((item["count_first"], item["count_second"]) for item in figures)
+    first, second = min((item.count_first, item.count_second) for item in figures)
     least = 2.0 / (2**first if True in is_paired else math.comb(first + second, first))
     if least < SIGNIFICANT:
         return []

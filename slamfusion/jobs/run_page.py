@@ -99,9 +99,7 @@ def _banner(run: LogRun) -> page.Banner:
 def _facts(run: LogRun, measured: Sequence[MeasuredPath]) -> list[page.Fact]:
     facts = []
     for item in list(run.results.values())[:1]:
-        path = item.run.trajectory
-        duration_s = float(path.stamps_s[-1] - path.stamps_s[0])
-        length = f"{path.path_length_m():.0f} m in {duration_s:.0f} s"
+        length = f"{item.run.path_length_m:.0f} m in {item.run.duration_s:.0f} s"
         facts.append(page.Fact(length, f"drive, {item.run.scans} scans"))
     if run.fusion.result is not None:
         facts += fusion_report.fusion_facts(run.fusion.result, len(run.failed))

@@ -224,16 +224,16 @@ def test_seeds_are_repetitions_of_a_case_and_pairs_of_the_same_seed(tmp_path: Pa
     assert found.pairings == ["9 pairs of the same case and seed, in 3 cases"]
     (figure,) = found.figures
     # By hand: errors 1, 1.01, 1.02, 2, ...; 0.1, 0.2, 0.3 less of the second in each case.
-    assert (figure["mean_first"], figure["mean_second"]) == pytest.approx((2.01, 1.81))
+    assert (figure.mean_first, figure.mean_second) == pytest.approx((2.01, 1.81))
     values = np.array([case + seed / 100 for case in (1, 2, 3) for seed in (0, 1, 2)])
-    assert figure["std_first"] == pytest.approx(np.sqrt(np.sum((values - 2.01) ** 2) / 8))
-    assert (figure["count_first"], figure["difference"]) == (9, pytest.approx(0.2))
+    assert figure.std_first == pytest.approx(np.sqrt(np.sum((values - 2.01) ** 2) / 8))
+    assert (figure.count_first, figure.difference) == (9, pytest.approx(0.2))
     # Differences 0.1, 0.2, 0.3 three times: deviation 0.1 sqrt(6 / 8), t = 0.2 / (that / 3) = 6.93,
     # for which the t distribution of 8 degrees of freedom has 0.000121 on both sides together.
-    assert figure["p_t"] == pytest.approx(0.000121, abs=1e-6)
+    assert figure.p_t == pytest.approx(0.000121, abs=1e-6)
     # All nine of one sign: two of 2^9 outcomes are as extreme.
-    assert figure["p_rank"] == pytest.approx(2 / 512)
-    assert (figure["better"], found.notes) == ("b", [])
+    assert figure.p_rank == pytest.approx(2 / 512)
+    assert (figure.better, found.notes) == ("b", [])
     check_document(plain(found), "compare")
 
 
@@ -244,8 +244,8 @@ def test_other_seeds_are_compared_by_the_means_of_each_case(tmp_path: Path) -> N
         "the pairs"
     )
     (figure,) = found.figures
-    assert (figure["count_first"], figure["mean_first"]) == (3, pytest.approx(2.01))
-    assert figure["mean_second"] == pytest.approx(2.035 - 0.15)
+    assert (figure.count_first, figure.mean_first) == (3, pytest.approx(2.01))
+    assert figure.mean_second == pytest.approx(2.035 - 0.15)
 
 
 def test_methods_of_one_file_are_compared_with_each_other(tmp_path: Path) -> None:
@@ -254,10 +254,10 @@ def test_methods_of_one_file_are_compared_with_each_other(tmp_path: Path) -> Non
     other = save(tmp_path / "other.zip", repeated("karto", 0.05))
     one, two = compare_results([file]), compare_results([file, other])
     assert [result.name for result in one.results] == ["graph", "gmapping", "drawn"]
-    assert [own["figure"] for own in one.figures] == ["ate_rmse_m"]
+    assert [own.figure for own in one.figures] == ["ate_rmse_m"]
     assert one.notes[0] == ("graph (trajectory) and drawn (trajectory) have no figure in common")
     apart = compared(tmp_path, repeated("graph"), repeated("gmapping", 0.1))
-    assert one.figures[0]["p_t"] == apart.figures[0]["p_t"]
+    assert one.figures[0].p_t == apart.figures[0].p_t
     assert [result.name for result in two.results] == ["graph", "gmapping", "drawn", "other"]
     with pytest.raises(SlamFusionError, match=r"one with several methods of a case, found .*other"):
         compare_results([other])
@@ -274,9 +274,9 @@ def test_two_files_are_compared_case_by_case(tmp_path: Path) -> None:
     )
     found = compared(tmp_path, old, new)
     (figure,) = found.figures
-    assert (figure["count_first"], figure["better"]) == (4, "b")
-    assert figure["p_t"] is not None
-    assert figure["p_t"] < 0.01
+    assert (figure.count_first, figure.better) == (4, "b")
+    assert figure.p_t is not None
+    assert figure.p_t < 0.01
     few = "4 pairs: too few for Wilcoxon's test, whose p cannot be below 0.12; add cases or seeds"
     assert found.notes == [few]
     check_document(plain(found), "compare")
@@ -284,13 +284,13 @@ def test_two_files_are_compared_case_by_case(tmp_path: Path) -> None:
     names = [sentence.partition(":")[0] for sentence in together.pairings]
     assert names == ["a and b", "a and c", "b and c"]
     first = together.figures[0]
-    assert first["p_t"] == figure["p_t"]
-    assert first["p_holm"] is not None
-    assert first["p_holm"] > figure["p_t"]
+    assert first.p_t == figure.p_t
+    assert first.p_holm is not None
+    assert first.p_holm > figure.p_t
     # The interval is corrected as the p-value is.
-    assert first["low"] is not None
-    assert figure["low"] is not None
-    assert first["low"] < figure["low"]
+    assert first.low is not None
+    assert figure.low is not None
+    assert first.low < figure.low
 
 
 def test_an_interval_holds_no_zero_if_the_corrected_p_value_is_small(tmp_path: Path) -> None:
@@ -303,9 +303,9 @@ def test_an_interval_holds_no_zero_if_the_corrected_p_value_is_small(tmp_path: P
     two = compared(tmp_path, *rows[:2]).figures[0]
     three = compared(tmp_path, *rows).figures[0]
     for figure, is_significant in ((two, True), (three, False)):
-        assert figure["p_holm"] is not None
-        assert figure["low"] is not None
-        assert (figure["p_holm"] < 0.05) == is_significant == (figure["low"] > 0.0)
+        assert figure.p_holm is not None
+        assert figure.low is not None
+        assert (figure.p_holm < 0.05) == is_significant == (figure.low > 0.0)
 
 
 def test_samples_that_are_too_few_for_ranks_are_named(tmp_path: Path) -> None:
@@ -321,15 +321,15 @@ def test_pairs_show_what_samples_hide(tmp_path: Path) -> None:
     others = reversed(list(enumerate(zip(values, gains, strict=True))))
     second = joined(item(str(n), "y", error=value - gain) for n, (value, gain) in others)
     (found,) = compared(tmp_path, first, second).figures
-    assert found["difference"] == pytest.approx(np.mean(gains))
-    assert found["p_t"] == pytest.approx(stats.ttest_1samp(gains, 0.0).pvalue)
-    assert found["better"] == "b"
+    assert found.difference == pytest.approx(np.mean(gains))
+    assert found.p_t == pytest.approx(stats.ttest_1samp(gains, 0.0).pvalue)
+    assert found.better == "b"
     apart = compared(tmp_path, first, [(f"other {case}", *rest) for case, *rest in second])
-    assert np.isnan(apart.figures[0]["low"])
-    assert apart.figures[0]["p_t"] == pytest.approx(
+    assert np.isnan(apart.figures[0].low)
+    assert apart.figures[0].p_t == pytest.approx(
         stats.ttest_ind(values, np.subtract(values, gains), equal_var=False).pvalue
     )
-    assert apart.figures[0]["better"] is None
+    assert apart.figures[0].better is None
     sentence = "no case in common; figures are compared as two samples"
     assert apart.pairings == [sentence]
 
@@ -360,7 +360,7 @@ def test_some_figures_are_better_when_they_are_larger(
     first = joined(item(str(n), "x", **{figure: 2.0 + 0.01 * n}) for n in range(4))
     second = joined(item(str(n), "x", **{figure: 1.0 + 0.02 * n}) for n in range(4))
     (found,) = compared(tmp_path, first, second).figures
-    assert found["better"] == better
+    assert found.better == better
 
 
 # --- the picture --------------------------------------------------------------------------------

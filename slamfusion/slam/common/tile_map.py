@@ -61,9 +61,6 @@ class _Tiles:
         page_tables: ``pages`` on the device.
     """
 
-    # Saved arrays with a number for each tile.
-    PER_TILE: tuple[str, ...] = ()
-
     def __init__(
         self,
         device: ComputeDevice,
@@ -159,7 +156,6 @@ class _Tiles:
             "pages": (np.int32, "N H W" if self.pages.ndim > 2 else "H W"),
             "corner": (np.int64, "2"),
             **{f"pool_{name}": (pool.dtype, f"T {TILE} {TILE}") for name, pool in kept.items()},
-            **dict.fromkeys(self.PER_TILE, (np.int32, "T")),
         }
         lengths = check_arrays(arrays, wanted)
         if arrays["pages"].size > MOST_PAGES * max(len(arrays["pages"]), 1):
@@ -217,8 +213,6 @@ class TileMap(_Tiles):
 class SharedTileMaps(_Tiles):
     """N maps that share equal tiles; pages are (N, PH, PW), unseen cells 0."""
 
-    PER_TILE = ("users",)
-
     def __init__(
         self, device: ComputeDevice, count: int, pools: Mapping[str, npt.DTypeLike]
     ) -> None:
@@ -259,8 +253,7 @@ class SharedTileMaps(_Tiles):
     def take_over(self, parents: npt.NDArray[np.int64]) -> None:
         """Replace every map by its parent's, (N,) indices of maps; no cell is copied."""
         self.pages = self.pages[parents]
-        self._users = np.bincount(self.pages.ravel(), minlength=len(self._users)).astype(np.int32)
-        self._users[0] = 0
+        self._count_users()
         self._send()
 
     def make_writable(self, written: npt.NDArray[np.bool_]) -> None:
@@ -286,17 +279,14 @@ class SharedTileMaps(_Tiles):
         self.pages.flat[places[changed]] = targets
         self._send()
 
-    def to_state(self) -> dict[str, Array]:
-        """Return everything as arrays, for saving."""
-        return {**super().to_state(), "users": self._users}
-
     def restore(self, arrays: Mapping[str, Array]) -> None:
         """Take over what ``to_state`` returned."""
         super().restore(arrays)
-        users = np.bincount(arrays["pages"].ravel(), minlength=self.tiles)
-        if not np.array_equal(users[1:], arrays["users"][1:]):
-            raise ValueError("users: not as many as the pages have")
-        self._users = arrays["users"].copy()
+        self._count_users()
+
+    def _count_users(self) -> None:
+        self._users = np.bincount(self.pages.ravel(), minlength=self.tiles).astype(np.int32)
+        self._users[0] = 0
 
     def _take(self, count: int) -> npt.NDArray[np.int64]:
         """Return the numbers of ``count`` free tiles; grow the pools if needed."""

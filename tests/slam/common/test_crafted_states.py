@@ -132,7 +132,6 @@ def test_edits_of_a_record_are_refused_or_make_a_state(
         ("graph", ("_local_map", "submaps", 0, "_tiles", "pages"), 10_000),
         ("gmapping", ("_maps", "tiles", "pages"), -1),
         ("gmapping", ("_maps", "tiles", "pages"), 1 << 30),
-        ("gmapping", ("_maps", "tiles", "users"), 3),
         ("gmapping", ("_maps", "tiles", "corner"), 1 << 40),
     ],
 )
