@@ -26,8 +26,6 @@ from typing import Any, TypeVar
 from slamfusion.cores import usable_cores
 from slamfusion.errors import ConfigError, FleetError
 
-__all__ = ["as_done", "check_address", "executor_for", "in_order", "tasks_ahead"]
-
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
@@ -77,11 +75,7 @@ def executor_for(
 
 
 def check_address(where: str) -> int | None:
-    """Return the processes of a local cluster; None for the address of one that runs.
-
-    Raises:
-        ConfigError: it is neither.
-    """
+    """Return the processes of a local cluster; None for one that runs; ConfigError for neither."""
     local = LOCAL.fullmatch(where)
     if local is not None:
         return int(local[1]) if local[1] else usable_cores()
@@ -193,19 +187,17 @@ def _begin(reports: Any) -> None:
     global _reports  # noqa: PLW0603 - of this process
     _reports = reports
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=_follow, daemon=True).start()
 
+    def follow() -> None:
+        parent = multiprocessing.parent_process()
+        if parent is not None:
+            parent.join()
+            os._exit(1)
 
-def _follow() -> None:
-    """End with the caller."""
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)
+    threading.Thread(target=follow, daemon=True).start()
 
 
 # --- processes that this one starts ---------------------------------------------------------------
-
 
 # What PoCL, OpenMP and OpenBLAS read before they start their threads; what the user set stays.
 THREAD_VARIABLES = ("POCL_MAX_PTHREAD_COUNT", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")

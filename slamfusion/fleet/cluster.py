@@ -45,7 +45,21 @@ def dask_executor(where: str, processes: int | None, device: str) -> Iterator[Ex
         logging.getLogger(name).setLevel(logging.CRITICAL)  # what is wrong is told in a sentence
     with contextlib.ExitStack() as ends:
         address = where if processes is None else ends.enter_context(_local_cluster(processes))
-        client = _connect(where, address)
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                client = distributed.Client(address, timeout=ANSWER_S)
+        except (OSError, distributed.TimeoutError, ValueError) as error:
+            raise FleetError(
+                f"no Dask scheduler answers at {where} within {ANSWER_S:g} s "
+                f"({' '.join(str(error).split())}); start one with `dask scheduler`, or give "
+                "--scheduler local"
+            ) from None
+        except TypeError:  # what Dask says of an address that begins with tls, without certificates
+            raise FleetError(
+                f"{where} wants certificates: set DASK_DISTRIBUTED__COMM__TLS__CA_FILE, "
+                "DASK_DISTRIBUTED__COMM__TLS__CLIENT__CERT and ..._KEY to files"
+            ) from None
         ends.callback(client.close, timeout=ANSWER_S)
         executor = _Workers(client, where)
         ends.callback(executor.end)
@@ -119,34 +133,10 @@ def _local_cluster(processes: int) -> Iterator[Any]:
                 cluster.close(timeout=ANSWER_S)
 
 
-def _connect(where: str, address: Any) -> Any:
-    """Return a client of a scheduler."""
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            return distributed.Client(address, timeout=ANSWER_S)
-    except (OSError, distributed.TimeoutError, ValueError) as error:
-        message = (
-            f"no Dask scheduler answers at {where} within {ANSWER_S:g} s "
-            f"({' '.join(str(error).split())}); start one with `dask scheduler`, or give "
-            "--scheduler local"
-        )
-    except TypeError:  # what Dask says of an address that begins with tls, without certificates
-        message = (
-            f"{where} wants certificates: set DASK_DISTRIBUTED__COMM__TLS__CA_FILE, "
-            "DASK_DISTRIBUTED__COMM__TLS__CLIENT__CERT and ..._KEY to files"
-        )
-    raise FleetError(message)
-
-
 def check_workers(where: str, found: Mapping[str, tuple[str, str] | BaseException]) -> None:
-    """Refuse workers that cannot do the same work as this process; log that devices differ.
+    """Raise FleetError for workers that cannot do the same work; log that devices differ.
 
-    Args:
-        found: version of this package and device of each, or why it could not tell, by address.
-
-    Raises:
-        FleetError: one cannot, or has another version of this package.
+    ``found``: version of this package and device of each, or why it could not tell, by address.
     """
     devices: dict[str, list[str]] = defaultdict(list)
     for address, facts in sorted(found.items()):

@@ -1,7 +1,4 @@
-"""``NodeBase``, the common part of the nodes, and ``run_node``.
-
-Diagnostics, safe callbacks, a ``Worker`` for long work, the compute device, clock jumps, shutdown.
-"""
+"""``NodeBase``, the common part of the nodes, with ``Diagnostics`` and ``Worker``; ``run_node``."""
 
 from __future__ import annotations
 
@@ -92,8 +89,7 @@ class Diagnostics:
     def __init__(self, log: Any) -> None:
         self._log = log
         self._lock = threading.Lock()
-        # Level, text, and end time.
-        self._now: dict[str, tuple[Level, str, float]] = {}
+        self._now: dict[str, tuple[Level, str, float]] = {}  # level, text and end time
         self._since_s: dict[str, float] = {}
 
     def say(
@@ -180,10 +176,8 @@ class Worker(Generic[T]):
     """A thread that processes items in order from a bounded queue.
 
     When the queue is full, the oldest waiting item is dropped: the newest scan matters most. A
-    failing item is passed with its error to ``on_error``, in the thread.
-
-    Attributes:
-        capacity: of the queue, at least 1; may be changed.
+    failing item is passed with its error to ``on_error``, in the thread. The capacity, at least 1,
+    may be changed.
     """
 
     def __init__(
@@ -274,6 +268,7 @@ class NodeBase:
         self, name: str, *, context: Any = None, arguments: Sequence[str] | None = None
     ) -> None:
         self.node = TypedNode(name, context=context, cli_args=arguments)
+        self.name = str(self.node.get_name())  # without its namespace
         self.log = self.node.get_logger()
         self.diagnostics = Diagnostics(self.log)
         self.is_stopped = False
@@ -294,8 +289,6 @@ class NodeBase:
             threshold, post_callback=lambda jump: self._call("clock", self._on_jump, jump)
         )
 
-    # --- for subclasses ----------------------------------------------------------------------
-
     def statuses(self) -> list[Status]:
         """Return the lines of the diagnostics; by default one with all problems."""
         return [Status("node", *self.diagnostics.worst())]
@@ -306,13 +299,6 @@ class NodeBase:
     def close(self) -> None:
         """End threads; called once, before the node is destroyed."""
 
-    # --- what a node has ---------------------------------------------------------------------
-
-    @property
-    def name(self) -> str:
-        """The node's name, without its namespace."""
-        return str(self.node.get_name())
-
     def clock_s(self) -> float:
         """Return the node's time, seconds; simulated time if used."""
         return float(self.node.get_clock().now().nanoseconds * 1e-9)
@@ -322,7 +308,7 @@ class NodeBase:
         return str(self.node.resolve_topic_name(topic))
 
     def open_device(self, wanted: str) -> ComputeDevice:
-        """Open a compute device; its warnings stay in the diagnostics. See ``open_device``."""
+        """Open a compute device; its warnings stay in the diagnostics."""
         handler = logging.Handler(logging.WARNING)
 
         def emit(record: logging.LogRecord) -> None:
@@ -339,17 +325,11 @@ class NodeBase:
             logger.removeHandler(handler)
 
     def subscribe(
-        self,
-        kind: Any,
-        topic: str,
-        callback: Callable[[Any], None],
-        profile: Any,
-        *,
-        raw: bool = False,
+        self, kind: Any, topic: str, callback: Callable[[Any], None], profile: Any, **more: Any
     ) -> Any:
         """Return a subscription with a safe callback; incompatible writers are in diagnostics.
 
-        ``raw``: the callback gets the bytes of the message.
+        ``more``: of rclpy; with ``raw=True`` the callback gets the bytes of the message.
         """
         if topic in self._mismatched:
             self._mismatched[topic] = profile
@@ -369,7 +349,7 @@ class NodeBase:
             lambda message: self._call(topic, callback, message),
             profile,
             event_callbacks=SubscriptionEventCallbacks(incompatible_qos=on_mismatch),
-            raw=raw,
+            **more,
         )
 
     def timer(self, period_s: float, callback: Callable[[], None]) -> Any:
@@ -397,11 +377,17 @@ class NodeBase:
         except Exception as error:  # noqa: BLE001  (a node must outlive a bad message)
             self.failed(what, error, f"callback {what}", f"{what}: ")
 
-    # --- diagnostics and time ----------------------------------------------------------------
-
     def publish_diagnostics(self) -> None:
         """Publish one DiagnosticArray on ``/diagnostics``."""
-        self._name_namesakes()
+        full_name = str(self.node.get_fully_qualified_name())
+        own = self.name, str(self.node.get_namespace())
+        count = self.node.get_node_names_and_namespaces().count(own)
+        text = (
+            f"{count} nodes are called {full_name!r}: their topics, parameters and diagnostics "
+            "cannot be told apart; end one, or rename it with -r __node:=NAME (one that was killed "
+            "is known for half a minute)"
+        )
+        self.diagnostics.say("namesake", text if count > 1 else None)
         for topic, profile in list(self._mismatched.items()):
             infos = self.node.get_publishers_info_by_topic(topic)
             found = [qos_check_compatible(info.qos_profile, profile)[0] for info in infos]
@@ -413,7 +399,7 @@ class NodeBase:
         message.status = [
             DiagnosticStatus(
                 level=bytes([line.level]),
-                name=f"{self.node.get_fully_qualified_name().lstrip('/')}: {line.name}",
+                name=f"{full_name.lstrip('/')}: {line.name}",
                 message=line.message,
                 hardware_id=self.name,
                 values=[KeyValue(key=key, value=shown(item)) for key, item in line.values.items()],
@@ -422,24 +408,18 @@ class NodeBase:
         ]
         self._diagnostics.publish(message)
 
-    def _name_namesakes(self) -> None:
-        own = self.name, str(self.node.get_namespace())
-        count = self.node.get_node_names_and_namespaces().count(own)
-        text = (
-            f"{count} nodes are called {self.node.get_fully_qualified_name()!r}: their topics, "
-            "parameters and diagnostics cannot be told apart; end one, or rename it with "
-            "-r __node:=NAME (one that was killed is known for half a minute)"
-        )
-        self.diagnostics.say("namesake", text if count > 1 else None)
-
     def _on_jump(self, jump: TimeJump) -> None:
         delta_s = jump.delta.nanoseconds * 1e-9
         if delta_s > 0.0 and self.clock_s() - delta_s <= 0.0:
             return  # the first time that was received
-        how = "forward" if delta_s > 0.0 else "back"
-        text = f"time jumped {how} by {abs(delta_s):.3f} s to {self.clock_s():.3f} s"
-        self.diagnostics.note("time jump", text)
+        self.diagnostics.note("time jump", f"time jumped {jump_words(delta_s, self.clock_s())}")
         self.on_time_jump(delta_s)
+
+
+def jump_words(delta_s: float, to_s: float) -> str:
+    """Return a jump of time in words, seconds."""
+    way = "forward" if delta_s > 0.0 else "back"
+    return f"{way} by {abs(delta_s):.3f} s to {to_s:.3f} s"
 
 
 def shown(value: object) -> str:
@@ -454,13 +434,10 @@ def shown(value: object) -> str:
 
 
 def run_node(make: Callable[[], NodeBase], arguments: Sequence[str] | None = None) -> int:
-    """Start rclpy, run a node until it stops or SIGINT or SIGTERM comes, and clean up.
+    """Run the node that ``make`` returns until it stops or a signal comes; return the exit code.
 
     Args:
-        make: makes the node; called after rclpy has started.
         arguments: with ``--ros-args``; default: none.
-
-    Returns the exit code: 0, or that of ``stop``.
 
     Raises:
         ConfigError: invalid arguments or topic names.
@@ -489,9 +466,15 @@ def run_node(make: Callable[[], NodeBase], arguments: Sequence[str] | None = Non
             number: signal.signal(number, lambda *_: base.stop())
             for number in (signal.SIGINT, signal.SIGTERM)
         }
+        executor = Executor()
+        executor.add_node(base.node)
         try:
-            _spin(base)
+            with contextlib.suppress(ExternalShutdownException):
+                while not base.is_stopped and rclpy.ok():
+                    executor.spin_once(timeout_sec=SPIN_S)
         finally:
+            executor.remove_node(base.node)
+            executor.shutdown()
             base.close()
             base.node.destroy_node()
             for number, handler in before.items():
@@ -514,16 +497,3 @@ def invalid_name(error: NameValidationException) -> str:
     what, name, *_ = str(error).splitlines()
     kind, _, reason = what.removeprefix("Invalid ").rstrip(":").partition(": ")
     return f"{name.strip()} is no {kind}: {reason}"
-
-
-def _spin(base: NodeBase) -> None:
-    executor = Executor()
-    executor.add_node(base.node)
-    try:
-        while not base.is_stopped and rclpy.ok():
-            executor.spin_once(timeout_sec=SPIN_S)
-    except ExternalShutdownException:
-        pass
-    finally:
-        executor.remove_node(base.node)
-        executor.shutdown()

@@ -88,11 +88,7 @@ class TransformStore:
     def lookup(self, target: str, source: str, time_s: float, wait_s: float = 0.0) -> Pose2:
         """Return the pose of the frame ``source`` in ``target`` at a time; see ``TransformTree``.
 
-        Args:
-            wait_s: longest wait for a transform; never in a callback.
-
-        Raises:
-            TransformError: it is unknown, also after the wait.
+        TransformError: it is unknown, also after waiting for ``wait_s``; never in a callback.
         """
         return self.mount(target, source, time_s, wait_s).pose
 
@@ -131,12 +127,6 @@ class TransformStore:
         with self._changed:
             return self._tree.strays
 
-    @property
-    def frames(self) -> set[str]:
-        """Every named frame."""
-        with self._changed:
-            return self._tree.frames
-
 
 class TransformInput(TransformStore):
     """Receives the transforms for an rclpy node, whose executor must spin."""
@@ -144,12 +134,10 @@ class TransformInput(TransformStore):
     def __init__(self, node: Any) -> None:
         super().__init__()
         kind, moving, static = _topics(node)
-        self._subscriptions = [
-            node.create_subscription(kind, moving, lambda m: self.add(_listed(m)), qos.TF),
-            node.create_subscription(
-                kind, static, lambda m: self.add(_listed(m), is_static=True), qos.TF_STATIC_READ
-            ),
-        ]
+        node.create_subscription(kind, moving, lambda m: self.add(_listed(m)), qos.TF)
+        node.create_subscription(
+            kind, static, lambda m: self.add(_listed(m), is_static=True), qos.TF_STATIC_READ
+        )
 
 
 class TransformOutput:
@@ -164,19 +152,19 @@ class TransformOutput:
         static_qos = qos.TF_STATIC if HAS_TF2 else qos.TF_STATIC_READ
         self._moving = node.create_publisher(kind, moving, qos.TF)
         self._latched = node.create_publisher(kind, static, static_qos)
-        self._subscription = node.create_subscription(kind, moving, self._listen, qos.TF)
+        node.create_subscription(kind, moving, self._listen, qos.TF)
 
-    def send(self, pose: Pose2, parent: str, child: str, stamp: Time) -> None:
-        """Send the pose of a frame in another one at a stamp."""
+    def send(
+        self, pose: Pose2, parent: str, child: str, stamp: Time, *, is_static: bool = False
+    ) -> None:
+        """Send the pose of a frame in another one at a stamp; the one static pose is latched."""
         item = transform_to_message(pose, parent, child, stamp)
-        with self._lock:
-            self._own.append(_key(item))
-            self._children.add(child)
-        self._publish(self._moving, item)
-
-    def send_static(self, pose: Pose2, parent: str, child: str, stamp: Time) -> None:
-        """Send the one static transform, latched."""
-        self._publish(self._latched, transform_to_message(pose, parent, child, stamp))
+        publisher = self._latched if is_static else self._moving
+        if not is_static:
+            with self._lock:
+                self._own.append(_key(item))
+                self._children.add(child)
+        publisher.publish(TFMessage(transforms=[item]) if HAS_TF2 else item)
 
     def rival(self, first: str = "") -> tuple[str, str]:
         """Return a child frame that another node sent in the last seconds, and a sentence.
@@ -185,16 +173,11 @@ class TransformOutput:
         """
         since_s = time.monotonic() - RIVAL_KEPT_S
         with self._lock:
-            rivals = self._rivals.items()
-            found = {child: parent for child, (parent, seen_s) in rivals if seen_s > since_s}
+            found = {child: own[0] for child, own in self._rivals.items() if own[1] > since_s}
         child = first if first in found else next(iter(found), "")
         if not child:
             return "", ""
         return child, f"another node sends the transform to {child!r} too (from {found[child]!r})"
-
-    @staticmethod
-    def _publish(publisher: Any, item: TransformStamped) -> None:
-        publisher.publish(TFMessage(transforms=[item]) if HAS_TF2 else item)
 
     def _listen(self, message: Any) -> None:
         """Note foreign transforms to a child frame of ours."""
@@ -206,5 +189,5 @@ class TransformOutput:
 
 def _key(item: TransformStamped) -> tuple[Any, ...]:
     move, turn = item.transform.translation, item.transform.rotation
-    place = move.x, move.y, turn.z, turn.w
-    return (item.header.frame_id, item.child_frame_id, stamp_ns(item), *place)
+    names = item.header.frame_id, item.child_frame_id
+    return (*names, stamp_ns(item), move.x, move.y, turn.z, turn.w)

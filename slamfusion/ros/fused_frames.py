@@ -1,27 +1,39 @@
-"""``FusedFrames``: the fused frame's transforms and the robot's pose in it."""
+"""``DriveInput``: the fused path solved from scans; ``FusedFrames``: transforms and the pose."""
 
 from __future__ import annotations
 
+import itertools
 import math
 import time
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Mapping
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from geometry_msgs.msg import PoseWithCovarianceStamped
+from nav_msgs.msg import Path
 
+from slamfusion.config import LogConfig
+from slamfusion.deskew import Deskewer
+from slamfusion.errors import TrajectoryError
 from slamfusion.fusion.live.driving import OdomFrame
 from slamfusion.fusion.live.session import FusionState
 from slamfusion.geometry import Pose2
+from slamfusion.io import LogScan
 from slamfusion.io.transforms import TransformError
+from slamfusion.jobs.live_drive import DriveSolution, LiveDrive, Pace
 from slamfusion.ros import messages, qos
-from slamfusion.ros.base import Level
+from slamfusion.ros.base import Level, Worker
 from slamfusion.ros.frames import TransformOutput, TransformStore
 from slamfusion.ros.input_health import HeardPose, MapSource
+from slamfusion.ros.scan_input import ArrivedScan, ScanInput
+from slamfusion.slam.session import LeftOutError
 
 if TYPE_CHECKING:
     from slamfusion.ros.fusion_node import FusionNode
 
-POSE_TOPIC = "fused/pose"
+POSE_TOPIC, PATH_TOPIC = "fused/pose", "fused/path"
+# Scans that wait to be read; then the oldest is dropped.
+SCAN_QUEUE = 20
 # A stamp of an input this far behind its last one starts a new time: a bag that loops.
 BACK_NS = 10**9
 # A revised value of a sent stamp is sent this much later, so that no stamp is repeated; below twice
@@ -34,6 +46,99 @@ TF_LATE_S = 5.0
 # A longer correction of fused_map -> odom, and a longer time without a matching scan, is reported,
 # seconds.
 LONG_S = 2.0
+
+
+class DriveInput:
+    """Receives ``scan`` and ``NAME/path``, solves the drive and publishes ``fused/path``.
+
+    Scans are read in one thread, and the drive is solved in another, with its own device.
+
+    ``on_solution`` is called with each solution, in the solver's thread.
+
+    Attributes:
+        live: the drive so far; takes the poses of the inputs.
+        solution: the last one; None before the first. Any thread may read it.
+    """
+
+    def __init__(
+        self, node: FusionNode, device: str, on_solution: Callable[[DriveSolution], None]
+    ) -> None:
+        settings = node.settings
+        self.solution: DriveSolution | None = None
+        self._node, self._on_solution = node, on_solution
+        self._deskewer = Deskewer(LogConfig(deskew=settings.deskew, sweep_s=settings.sweep_s))
+        self.live = LiveDrive(node.open_device(device))
+        self._count, self._pace = 0, Pace()
+        self._path_topic = node.node.create_publisher(Path, PATH_TOPIC, qos.MAP)
+        self._reader: Worker[ArrivedScan] = Worker(self._read, SCAN_QUEUE, node.failed, "scans")
+        self._solver: Worker[None] = Worker(self._solve, 1, node.failed, "drive")
+        self.scans = ScanInput(node, settings, self._reader.put, self.forget)
+
+    # --- in the executor's thread --------------------------------------------------------------
+
+    def forget(self) -> None:
+        """Start a new drive."""
+        self.live.forget()
+        self.solution = None
+
+    def look(self, sources: Mapping[str, MapSource]) -> None:
+        """Subscribe to the inputs' paths once scans arrive; start the solver."""
+        self.scans.name_odometry()
+        self._solver.put(None)
+        for name, source in sources.items() if self._count else ():
+            source.hear_path(partial(self._on_path, name))
+
+    def _on_path(self, name: str, data: bytes) -> None:
+        try:
+            path = messages.path_from_bytes(data, name)
+        except TrajectoryError as error:
+            text = f"the path of {name!r} is left out: {error}"
+            self._node.diagnostics.note(f"path {name}", text)
+            return
+        self.live.set_path(name, path)
+
+    # --- in threads of their own ---------------------------------------------------------------
+
+    def _read(self, arrived: ArrivedScan) -> None:
+        try:
+            scan = self.scans.read(arrived)
+        except LeftOutError:
+            return  # reported by ``read``
+        within, odometry = self._deskewer.follow(
+            scan, lambda times_s: self.scans.odometry_at(arrived, times_s, is_first=False)
+        )
+        self.live.add_scan(LogScan(self._deskewer.moved(scan, within), odometry, 1))
+        self._count += 1
+        self._solver.put(None)
+
+    def _solve(self, _: None) -> None:
+        began_s = time.monotonic()
+        depth = self._pace.due(began_s, self._count)
+        if depth is None:
+            return
+        state, settings = self._node.session.snapshot, self._node.settings
+        transforms = {name: state.transform(name) for name in state.inputs}
+        solution = self.live.solve(
+            depth,
+            lattice=state.lattice,
+            transforms={name: place for name, place in transforms.items() if place is not None},
+            resolution=state.resolution if settings.draw else None,
+        )
+        self._pace.done(depth, began_s, time.monotonic())
+        if solution is None:
+            return
+        self.solution = solution
+        self.live.take(solution)
+        self._on_solution(solution)
+        if self._path_topic.get_subscription_count():
+            stamp = messages.to_stamp(float(solution.path.stamps_s[-1]))
+            frame = settings.fused_frame
+            self._path_topic.publish(messages.path_to_bytes(solution.path, frame, stamp))
+
+    def close(self) -> None:
+        """End both threads."""
+        self._reader.close()
+        self._solver.close()
 
 
 class ChildFrames:
@@ -57,7 +162,7 @@ class ChildFrames:
             # Without the last ``map``, unless that is all.
             space = words[:-1] if len(words) > 1 and words[-1] == "map" else words
             others = [theirs for (_, own), (_, theirs) in self._children.items() if own == frame]
-            child = next(self._names(space, frame, others)) if others else frame
+            child = self._free(space, frame, others) if others else frame
             self._children[key] = child, space
             self._taken.add(child)
         return self._children[key][0]
@@ -70,21 +175,13 @@ class ChildFrames:
             if child != frame
         }
 
-    def _names(
-        self, space: tuple[str, ...], frame: str, others: Collection[tuple[str, ...]]
-    ) -> Iterator[str]:
-        """Yield free names, shortest namespace first."""
-        for length in range(1, len(space) + 1):
-            is_own = all(theirs[:length] != space[:length] for theirs in others)
-            child = "/".join((*space[:length], frame))
-            if is_own and child not in self._taken:
-                yield child
-        number = 2
-        while True:
-            child = "/".join((*space, f"{frame}_{number}"))
-            if child not in self._taken:
-                yield child
-            number += 1
+    def _free(self, space: tuple[str, ...], frame: str, others: Collection[tuple[str, ...]]) -> str:
+        """Return the free name with the shortest namespace that is no other's, else a number."""
+        spaces = [space[:length] for length in range(1, len(space) + 1)]
+        own = [one for one in spaces if all(theirs[: len(one)] != one for theirs in others)]
+        named = ("/".join((*one, frame)) for one in own)
+        numbered = ("/".join((*space, f"{frame}_{number}")) for number in itertools.count(2))
+        return next(it for it in itertools.chain(named, numbered) if it not in self._taken)
 
 
 class FusedFrames:
@@ -152,9 +249,7 @@ class FusedFrames:
                 self._note(source.stamp_s)
             if transform is not None and not has_pose and self._newest_s is not None:
                 self._send_frame(source, transform, messages.to_stamp(self._newest_s))
-        self._name_shared()
-        self._node.diagnostics.say("rival", self._rival_words(), Level.ERROR)
-        self._name_unsent()
+        self._name_problems()
 
     def drive(self) -> None:
         """Send the odometry frame's transform at the stamp of the newest odometry."""
@@ -212,10 +307,16 @@ class FusedFrames:
             return
         else:
             pose = transform.compose(heard.pose)
-            covariance = self._node.covariance(self.leader, heard.stamp_s)
+            voters = [name for name, one in self._state.inputs.items() if one.accepted]
+            covariance = self._node.fusion.covariance(self.leader, voters, heard.stamp_s)
         if located is None or located.fits or self._unmatched_s is None:
             self._unmatched_s = heard.stamp_s
-        self._name_unmatched(heard.stamp_s - self._unmatched_s)
+        unmatched_s = heard.stamp_s - self._unmatched_s
+        text = (
+            f"no scan of the last {unmatched_s:.0f} s matches the walls along the fused path: the "
+            f"pose goes by {self.leader} alone"
+        )
+        self._node.diagnostics.say("match", text if unmatched_s > LONG_S else None)
         stamp = self._fresh(POSE_TOPIC, heard.stamp, pose, is_revised=is_revised)
         if stamp is not None:
             self._pose_topic.publish(
@@ -290,48 +391,31 @@ class FusedFrames:
         is_long = away_m > LONG_S * speed or turn_rad > LONG_S * turn
         diagnostics.say("correction", text if is_long else None)
 
-    # --- problems with frames ----------------------------------------------------------------
-
-    def _name_unmatched(self, for_s: float) -> None:
-        text = (
-            f"no scan of the last {for_s:.0f} s matches the walls along the fused path: the pose "
-            f"goes by {self.leader} alone"
-        )
-        self._node.diagnostics.say("match", text if for_s > LONG_S else None)
-
-    def _name_shared(self) -> None:
+    def _name_problems(self) -> None:
+        settings, diagnostics = self._node.settings, self._node.diagnostics
+        fused, odom = settings.fused_frame, settings.odom_frame
         shared = [
             f"{name!r} is in frame {frame!r} as another map is: its transform is sent to {child!r}"
             for name, (frame, child) in self._children.renamed().items()
         ]
         words = "; ".join([*shared, "give each map a frame_id of its own"])
-        self._node.diagnostics.say("shared frame", f"the map of {words}" if shared else None)
-        fused = self._node.settings.fused_frame
+        diagnostics.say("shared frame", f"the map of {words}" if shared else None)
         is_own = any(source.frame == fused for source in self._node.inputs.sources.values())
         text = f"an input's map is in {fused!r}, the frame of the fused map; rename one of them"
-        self._node.diagnostics.say("own frame", text if is_own else None)
-
-    def _rival_words(self) -> str | None:
-        """Return a problem text if another node sends one of our transforms."""
-        odom_frame = self._node.settings.odom_frame
-        child, words = self._output.rival(odom_frame)
-        if not child:
-            return None
+        diagnostics.say("own frame", text if is_own else None)
+        child, words = self._output.rival(odom)
         what = "end one of them, or give the frames of each robot names of their own"
         if self._node.rival:
             what = f"the other fusion is {self._node.rival!r}; end one of the two"
-        elif child == odom_frame:
+        elif child == odom:
             what = "set publish_tf to false in all but one"
-        return f"{words}: {what}"
-
-    def _name_unsent(self) -> None:
-        settings = self._node.settings
+        diagnostics.say("rival", f"{words}: {what}" if child else None, Level.ERROR)
         has_voters = any(record.accepted for record in self._state.inputs.values())
         why = "the odometry does not tell where the robot is at the times of its poses"
-        if settings.fused_frame == settings.odom_frame:
+        if fused == odom:
             why = "both are one frame; rename one of them"
         elif not self.leader:
             why = "no input that votes has the robot's pose (NAME/pose next to NAME/map)"
-        text = f"publish_tf: {settings.fused_frame} -> {settings.odom_frame} was never sent: {why}"
+        text = f"publish_tf: {fused} -> {odom} was never sent: {why}"
         is_unsent = settings.publish_tf and has_voters and self._driven_s is None
-        self._node.diagnostics.say("unsent", text if is_unsent else None, after_s=TF_LATE_S)
+        diagnostics.say("unsent", text if is_unsent else None, after_s=TF_LATE_S)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from datetime import datetime
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -20,20 +22,19 @@ from slamfusion.config import (
     RunConfig,
     config_fields,
 )
-from slamfusion.errors import GridError
+from slamfusion.errors import ConfigError, GridError, SlamFusionError
 from slamfusion.evidence.conditions import CONDITIONS, Condition
 from slamfusion.fusion.live import LiveFusion, LiveInput, State
-from slamfusion.fusion.live.session import FusedMap, FusionSession, warm_up
-from slamfusion.geometry import F64, Pose2
+from slamfusion.fusion.live.session import FusedMap, FusionSession, FusionState, warm_up
+from slamfusion.fusion.live.state import LiveState, StateError, is_state
+from slamfusion.io.files import check_memory, write_atomic
 from slamfusion.io.map_server import load_map
 from slamfusion.jobs.live_drive import DriveSolution
 from slamfusion.ros import messages, qos
 from slamfusion.ros.base import FINAL, Level, NodeBase, Status, Worker
-from slamfusion.ros.drive_input import DriveInput
-from slamfusion.ros.fused_frames import FusedFrames
+from slamfusion.ros.fused_frames import DriveInput, FusedFrames
 from slamfusion.ros.fusion_inputs import ENTRY, FUSION, PREFIX, FusionInputs
 from slamfusion.ros.fusion_services import MAP_TOPIC, FusionServices
-from slamfusion.ros.fusion_state import RESTORED, StateKeeper
 from slamfusion.ros.input_health import Clocks, HeardPose, MapSource, name_writers
 from slamfusion.ros.live_page import LivePage
 from slamfusion.ros.parameters import declare, declare_starts
@@ -55,6 +56,147 @@ NEW_PLACE = {
 }
 # Diagnostics level of an input's state; else WARN.
 LEVELS = {State.TRACKED: Level.OK, State.LOST: Level.STALE}
+
+# Shortest pause between writes, seconds, and their largest share of the time.
+PAUSE_S, SHARE = 2.0, 0.1
+# A problem with the found state is shown this long, seconds.
+STATE_SHOWN_S = 60.0
+# After a restart, wait this long for known inputs, seconds, so that the first fused map is not of
+# the quickest alone.
+RETURN_S = 2.0
+UNUSABLE = ".unusable"
+# Diagnostics key of a restart, until an input votes.
+RESTORED = "restored"
+# Bytes of a state in memory per byte of the compressed file.
+GROWTH = 20
+
+
+class StateKeeper:
+    """Restores the state at the start, and writes the newest in its own thread.
+
+    A file of another kind is never overwritten; an unusable state is moved aside. In the worker's
+    thread, except the constructor.
+
+    Args:
+        live: restored and kept; still empty.
+        path: ``~`` for the home folder; None or empty: nothing is read or kept.
+        names: the inputs to wait for; places of others are kept until they come.
+
+    Attributes:
+        restored: the restored state, or None.
+
+    Raises:
+        ConfigError: the path's folder does not exist, or the path is a folder.
+    """
+
+    def __init__(
+        self, base: NodeBase, live: LiveFusion, path: str | None, names: Collection[str]
+    ) -> None:
+        self.restored: LiveState | None = None
+        self._diagnostics, self._live = base.diagnostics, live
+        self._path = Path(path).expanduser() if path else None
+        self._next_s = float("-inf")
+        # Last noted, and the stamp of the newest fused map that is not kept.
+        self._resets = self._fused_maps = 0
+        self._unkept_s: float | None = None
+        self._began_s = time.monotonic()
+        self._returning: set[str] = set()
+        if self._path is not None:
+            folder = Path(os.path.realpath(self._path)).parent
+            if self._path.is_dir():
+                raise ConfigError(f"state_path: {self._path} is a folder; name a file in it")
+            if not folder.is_dir():
+                message = f"state_path: there is no folder {folder}; make it, or name another path"
+                raise ConfigError(message)
+            if self._path.exists():
+                self._read(self._path, names)
+        self._writer: Worker[LiveState | None] = Worker(self._write, 1, self._failed, "state")
+
+    def _read(self, path: Path, names: Collection[str]) -> None:
+        problem = f"{path} is no state of the fusion and is left as it is"
+        try:
+            check_memory(GROWTH * path.stat().st_size, "the fusion's state", str(path))
+            data = path.read_bytes()
+            when = datetime.fromtimestamp(path.stat().st_mtime).astimezone()
+            if is_state(data):
+                state = LiveState.from_bytes(data)
+                self._live.restore(state)
+                self.restored, problem = state, ""
+        except StateError as error:
+            aside = path.with_name(path.name + UNUSABLE)
+            try:
+                path.replace(aside)
+            except OSError as failure:
+                problem = f"{path}: {error}, and it cannot be moved aside ({failure.strerror})"
+            else:
+                text = f"{path}: {error}; it is {aside.name!r} now, and a new fused frame starts"
+                self._diagnostics.say("state", text, Level.WARN, STATE_SHOWN_S)
+                return
+        except (OSError, SlamFusionError) as error:
+            problem = f"{path}: the state cannot be read ({error})"
+        if self.restored is None:
+            self._path = None
+            text = f"{problem}: no state is kept; start with another state_path"
+            self._diagnostics.say("state", text)
+            return
+        self._returning = {*names} & {*self.restored.transforms}
+        text = (
+            f"restored from {str(path)!r} of {when.isoformat(' ', 'seconds')}, no input confirmed "
+            "yet; reset starts a new fused frame"
+        )
+        self._diagnostics.say(RESTORED, text)
+
+    def is_waiting(self, has_come: Callable[[str], bool]) -> bool:
+        """Whether known inputs are awaited after a restart."""
+        is_young = time.monotonic() - self._began_s < RETURN_S
+        if not is_young or all(has_come(name) for name in self._returning):
+            self._returning = set()
+        return bool(self._returning)
+
+    def note(self, state: FusionState) -> None:
+        """Write changes now and then; a new frame deletes the kept state."""
+        if state.resets != self._resets:
+            self._resets, self._returning, self._unkept_s = state.resets, set(), None
+            self._next_s = float("-inf")
+            self._diagnostics.clear(RESTORED)
+            self._writer.put(None)
+        if state.fused_maps != self._fused_maps:
+            self._fused_maps, self._unkept_s = state.fused_maps, state.fused_stamp_s
+        is_due = time.monotonic() >= self._next_s and self._writer.is_idle()
+        if self._unkept_s is not None and is_due and self._path is not None:
+            self._keep()
+
+    def close(self, *, is_whole: bool) -> None:
+        """Keep the last state if ``is_whole``: no other thread uses the fusion."""
+        if is_whole and self._unkept_s is not None:
+            self._keep()
+        self._writer.is_idle(5.0)
+        self._writer.close()
+
+    def _keep(self) -> None:
+        state, self._unkept_s = self._live.state(self._unkept_s or 0.0), None
+        if state is not None:
+            self._next_s = time.monotonic() + PAUSE_S
+            self._writer.put(state)
+
+    # --- the writer's thread -----------------------------------------------------------------
+
+    def _write(self, state: LiveState | None) -> None:
+        """Write a state; None removes the file."""
+        path = self._path
+        if path is None:
+            return
+        began_s = time.monotonic()
+        if state is None:
+            path.unlink(missing_ok=True)
+        else:
+            write_atomic(path, state.to_bytes())
+        spent_s = time.monotonic() - began_s
+        self._next_s = max(self._next_s, time.monotonic() + spent_s / SHARE)
+        self._diagnostics.clear("keep state")
+
+    def _failed(self, _: LiveState | None, error: Exception) -> None:
+        self._diagnostics.say("keep state", f"the state is not kept: {error}")
 
 
 class FusionNode(NodeBase):
@@ -117,7 +259,7 @@ class FusionNode(NodeBase):
         self._frames = FusedFrames(self, self.drive.scans.odometry)
         self.inputs.begin()
         self._device = self.open_device(device)
-        self._fusion = LiveFusion(self._config, self._device, None if is_open else names)
+        self.fusion = LiveFusion(self._config, self._device, None if is_open else names)
         warm_up(self._config, self._device)
 
         # The last published map as message and grid; None before the first.
@@ -129,7 +271,7 @@ class FusionNode(NodeBase):
         self._updates_topic = None if updates[0] is None else node.create_publisher(*updates)
         self._agreement_topic = node.create_publisher(OccupancyGrid, AGREEMENT_TOPIC, qos.MAP)
         self.session = FusionSession(
-            self._fusion,
+            self.fusion,
             self.settings.max_publish_rate_hz,
             publish=self._publish,
             publish_agreement=self._publish_agreement,
@@ -137,7 +279,7 @@ class FusionNode(NodeBase):
             on_vote=self._on_vote,
             is_heard=lambda: self._agreement_topic.get_subscription_count() > 0,
         )
-        self._keeper = StateKeeper(self, self._fusion, self.settings.state_path, names)
+        self._keeper = StateKeeper(self, self.fusion, self.settings.state_path, names)
         if (kept := self._keeper.restored) is not None:
             self.session.offer(FusedMap(*kept.grids(), kept.stamp_s))
         self._shown_votes = 0
@@ -174,7 +316,7 @@ class FusionNode(NodeBase):
             self.diagnostics.clear(f"writers {name}")
         for grid in saved:
             read = partial(self._on_page, grid.name, grid)
-            self._fusion.put(grid.name, read, time.monotonic(), is_saved=True)
+            self.fusion.put(grid.name, read, time.monotonic(), is_saved=True)
         self._wake()
 
     def _wake(self) -> None:
@@ -184,11 +326,11 @@ class FusionNode(NodeBase):
         """Keep a map for the worker; None: the input's process fell silent, or is back."""
         if message is not None:
             read = partial(self._read, source, message)
-            self._fusion.put(source.name, read, time.monotonic())
+            self.fusion.put(source.name, read, time.monotonic())
         self._wake()
 
     def _on_pose(self, source: MapSource, heard: HeardPose) -> None:
-        self._fusion.hear(source.name, heard.stamp_s, heard.pose)
+        self.fusion.hear(source.name, heard.stamp_s, heard.pose)
         self.drive.live.add_pose(source.name, heard.stamp_s, heard.pose)
         self._frames.on_pose(source, heard)
         if self._page is not None:
@@ -204,7 +346,7 @@ class FusionNode(NodeBase):
         self.inputs.discover(self.settings)
         for name, source in self.inputs.sources.items():
             if self.session.look(
-                name, source.lost, has_map=bool(source.frame), is_back=source.is_back
+                name, source.lost, has_map=bool(source.frame), is_back=source.liveliness.is_back
             ):
                 self._wake()
         snapshot = self.session.snapshot
@@ -247,11 +389,6 @@ class FusionNode(NodeBase):
             self.drive.scans.forget_after(self.clock_s())
             self._frames.on_time_jump()
 
-    def covariance(self, leader: str, stamp_s: float) -> F64:
-        """Return the covariance of the leader's pose by the poses of the other voters."""
-        voters = [one.name for one in self.session.snapshot.inputs.values() if one.accepted]
-        return self._fusion.covariance(leader, voters, stamp_s)
-
     def ask_reset(self) -> None:
         """Start a new fused frame; from any thread."""
         self.drive.forget()
@@ -262,7 +399,7 @@ class FusionNode(NodeBase):
     # --- the thread of the drive -------------------------------------------------------------
 
     def _on_solution(self, solution: DriveSolution) -> None:
-        self._fusion.put_evidence(solution.evidence)
+        self.fusion.put_evidence(solution.evidence)
         self._name_conditions(solution.conditions)
         if "new place" in solution.conditions and self.settings.on_new_place == "reset":
             self.ask_reset()
@@ -279,7 +416,7 @@ class FusionNode(NodeBase):
     # --- the worker's thread -----------------------------------------------------------------
 
     def _turn(self, _: None) -> None:
-        if self._keeper.is_waiting(self._fusion.has_come):
+        if self._keeper.is_waiting(self.fusion.has_come):
             self.session.send()
             return
         solution = self.drive.solution
@@ -335,8 +472,6 @@ class FusionNode(NodeBase):
         else:
             self.log.warning(f"{record.name} does not vote: {record.reason}")
 
-    # --- diagnostics -------------------------------------------------------------------------
-
     def statuses(self) -> list[Status]:
         """Return one line for the fusion and one for each input."""
         lines = [self._input_status(name, entry) for name, entry in self.inputs.entries.items()]
@@ -391,7 +526,7 @@ class FusionNode(NodeBase):
             publishes = "a node could publish it" if is_published else "no node publishes it"
             text = f"no map on {topic!r} yet; {publishes}"
             return Status(PREFIX + name, Level.STALE, text, {ENTRY: entry})
-        transform, place = record.transform, record.transform or Pose2()
+        place = record.transform
         values: dict[str, object] = {
             ENTRY: entry,
             "state": record.state.value,
@@ -404,9 +539,9 @@ class FusionNode(NodeBase):
             "rate [Hz]": record.messages.rate_hz,
             "maps": record.messages.maps,
             "maps refused": record.messages.rejected,
-            "x [m]": None if transform is None else place.x,
-            "y [m]": None if transform is None else place.y,
-            "yaw [rad]": None if transform is None else place.yaw_rad,
+            "x [m]": place and place.x,
+            "y [m]": place and place.y,
+            "yaw [rad]": place and place.yaw_rad,
             "frame": source and (self._frames.child_frame(source) or source.frame),
         }
         level = LEVELS.get(record.state, Level.WARN)

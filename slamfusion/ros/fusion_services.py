@@ -134,17 +134,15 @@ class FusionServices:
         return "the newest maps begin a new fused frame"
 
     def _save(self, path: str | None = None, **rules: Any) -> str:
-        """Write the last published map; return the path of its YAML file.
+        """Write the last published map by rules of ``save_map``; return the path of its YAML file.
 
-        Args:
-            path: without an ending; relative to the working folder; None: ``save_path``.
-            rules: of ``save_map``.
+        ``path``: without an ending; relative to the working folder; None: ``save_path``.
         """
         node = self._node
         if node.published is None:
             raise SlamFusionError(node.session.snapshot.nothing_fused)
         given = (node.settings.save_path, "save_path") if path is None else (path, "path")
-        target = save_target(*given, self._root)
+        target = self._target(*given)
         kind = {key: rules[key] for key in ("mode", "image_format") if key in rules}
         refuse_overwriting(
             [
@@ -162,6 +160,26 @@ class FusionServices:
         node.log.info(f"the fused map is saved as {where!r}")
         return where
 
+    def _target(self, save_path: str, name: str) -> Path:
+        """Return the path of a map to write, without an ending.
+
+        Raises:
+            SlamFusionError: no file name, outside of the folder (also by a link), or no folder.
+        """
+        given = Path(save_path)
+        if given.name in {"", ".."} or "\0" in save_path:
+            raise SlamFusionError(f"{name} {save_path!r} names no file; add a name")
+        folder = Path(os.path.realpath(given.parent))
+        if folder != self._root and self._root not in folder.parents:
+            raise SlamFusionError(
+                f"{name} {save_path!r} leads out of {str(self._root)!r}, the folder that the node "
+                "was started with; name a path in it, or start the node with another save_path"
+            )
+        if not folder.is_dir():
+            message = f"{name} {save_path!r}: there is no folder {str(folder)!r}; make it first"
+            raise SlamFusionError(message)
+        return folder / given.name
+
 
 def _tell(response: Any, text: str | None, *, is_done: bool) -> None:
     """Put a text into an answer that has one."""
@@ -169,29 +187,3 @@ def _tell(response: Any, text: str | None, *, is_done: bool) -> None:
         response.result.successful, response.result.reason = is_done, text
     elif isinstance(response, Trigger.Response):
         response.success, response.message = is_done, text
-
-
-def save_target(save_path: str, name: str, root: Path) -> Path:
-    """Return the path of a map to write, without an ending.
-
-    Args:
-        save_path: of the parameter or a request; relative to the working folder.
-        name: of the parameter, for errors.
-        root: the folder that it must not leave, resolved.
-
-    Raises:
-        SlamFusionError: no file name, outside ``root`` (also by a link), or no such folder.
-    """
-    given = Path(save_path)
-    if given.name in {"", ".."} or "\0" in save_path:
-        raise SlamFusionError(f"{name} {save_path!r} names no file; add a name")
-    folder = Path(os.path.realpath(given.parent))
-    if folder != root and root not in folder.parents:
-        raise SlamFusionError(
-            f"{name} {save_path!r} leads out of {str(root)!r}, the folder that the node was "
-            "started with; name a path in it, or start the node with another save_path"
-        )
-    if not folder.is_dir():
-        message = f"{name} {save_path!r}: there is no folder {str(folder)!r}; make it first"
-        raise SlamFusionError(message)
-    return folder / given.name

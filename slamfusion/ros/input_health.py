@@ -1,8 +1,4 @@
-"""An input of the fusion node and its health.
-
-``MapSource`` receives maps and poses, ``Liveliness`` detects dead processes, ``Clocks`` wrong
-clocks.
-"""
+"""``MapSource``, an input; ``Liveliness`` detects dead processes, ``Clocks`` wrong clocks."""
 
 from __future__ import annotations
 
@@ -52,12 +48,12 @@ class Liveliness:
     Attributes:
         is_back: the living writer is the one that had fallen silent. Stays until all are silent
             again: under load a lease may expire and be renewed more than once between two looks.
+        silent_since_s: None while a writer lives.
     """
 
     def __init__(self) -> None:
-        """Start without writers."""
         self.is_back = False
-        self._silent_since_s: float | None = None
+        self.silent_since_s: float | None = None
         self._lives = False
 
     def take(self, alive: int, alive_change: int, not_alive_change: int, now_s: float) -> bool:
@@ -67,32 +63,26 @@ class Liveliness:
         life, so changes are more reliable than counts.
 
         Args:
-            alive: writers that renew their lease, or fewer.
-            alive_change: change of that number.
+            alive, alive_change: writers that renew their lease (or fewer), and their change.
             not_alive_change: change of the number that do not.
-            now_s: time of the event.
         """
         had, self._lives = self._lives, alive > 0 or alive_change > 0
         if self._lives:
-            self._silent_since_s = None
+            self.silent_since_s = None
             if not had:
                 self.is_back = not_alive_change < 0
         else:
             self.is_back = False
-            if not_alive_change > 0 and self._silent_since_s is None:
-                self._silent_since_s = now_s
+            if not_alive_change > 0 and self.silent_since_s is None:
+                self.silent_since_s = now_s
         # Without any writer: a regular end is seen by the map's reader; a silent writer has been
         # given up by DDS, and stays dead.
         return had != self._lives
 
     def is_dead(self, now_s: float) -> bool:
         """Whether every writer has fallen silent and none has replaced it."""
-        since_s = self._silent_since_s
+        since_s = self.silent_since_s
         return since_s is not None and now_s - since_s > DOUBT_S
-
-    def forgive(self) -> None:
-        """Assume living writers until a lease expires again."""
-        self._silent_since_s = None
 
 
 class Clocks:
@@ -140,8 +130,8 @@ class Clocks:
             heard.clear()
         heard.append((stamp_s, stamp_s - now_s))
 
-    def _relative_s(self) -> dict[str, float]:
-        """Return the lead of each known clock over the majority."""
+    def look(self, names: Collection[str]) -> None:
+        """Report inputs with wrong clocks; ``names`` are all of them."""
         ahead_s: dict[str, float] = {}
         stamps: dict[str, set[float]] = {}
         for (name, _), heard in self._heard.items():
@@ -153,25 +143,18 @@ class Clocks:
             name: max(ahead_s[other] for other, theirs in stamps.items() if own & theirs)
             for name, own in stamps.items()
         }
-        if len(ahead_s) < 2:
-            return {}
         ordered = sorted([0.0, *ahead_s.values()])
-        middle = ordered[(len(ordered) - 1) // 2], ordered[len(ordered) // 2]
-        right_s = min(middle, key=abs)
-        return {name: ahead - right_s for name, ahead in ahead_s.items()}
-
-    def look(self, names: Collection[str]) -> None:
-        """Report inputs with wrong clocks; ``names`` are all of them."""
-        known = self._relative_s()
+        right_s = min(ordered[(len(ordered) - 1) // 2], ordered[len(ordered) // 2], key=abs)
         for name in names:
-            ahead_s = known.get(name, 0.0)
-            way = "ahead of" if ahead_s > 0.0 else "behind"
-            late = "" if ahead_s > 0.0 else ", or its messages come that late"
+            # A clock alone is compared with none.
+            lead_s = ahead_s[name] - right_s if name in ahead_s and len(ahead_s) > 1 else 0.0
+            way = "ahead of" if lead_s > 0.0 else "behind"
+            late = "" if lead_s > 0.0 else ", or its messages come that late"
             text = (
-                f"the clock of {name!r} is {abs(ahead_s):.1f} s {way} the others'{late}; its maps "
+                f"the clock of {name!r} is {abs(lead_s):.1f} s {way} the others'{late}; its maps "
                 "count all the same; set the clock of its machine"
             )
-            self._diagnostics.say(f"clock {name}", text if abs(ahead_s) > SKEW_S else None)
+            self._diagnostics.say(f"clock {name}", text if abs(lead_s) > SKEW_S else None)
 
     def remove(self, name: str) -> None:
         """Forget the stamps of an input that was removed."""
@@ -253,6 +236,7 @@ class MapSource:
         frame: of the newest map that was read; empty before the first.
         stamp_s: of the newest map with a plausible stamp; None before the first.
         pose: the newest; None before the first.
+        liveliness: of the pose writers that offer a lease.
         silent_since_s: ``time.monotonic`` since when no node publishes the map; None if one does.
     """
 
@@ -279,51 +263,42 @@ class MapSource:
         self._last: Any = None
         self._left_out = 0
         self._profile = qos.MAP
-        self._liveliness = Liveliness()
+        self.liveliness = Liveliness()
         # By content: map, updates, pose, path and lease.
         self._subscriptions: dict[str, Any] = {}
         if messages.MapUpdate is not None:
-            self._subscriptions["updates"] = base.subscribe(
-                messages.MapUpdate, f"{topic}_updates", self._take_update, qos.STREAM
-            )
-        self._listen()
+            updates = messages.MapUpdate, f"{topic}_updates", self._take_update
+            self._subscribe("updates", *updates, qos.STREAM)
+        self._subscribe("map", OccupancyGrid, topic, self._take_map, self._profile)
         # NAME of NAME/map, empty for /map; None for other topics.
         self._stem = topic.removesuffix(MAP_SUFFIX) if topic.endswith(MAP_SUFFIX) else None
         if self._stem is not None:
-            self._subscriptions["pose"] = base.subscribe(
-                PoseStamped, f"{self._stem}/pose", self._take_pose, qos.SENSOR
-            )
+            pose_topic = f"{self._stem}/pose"
+            self._subscribe("pose", PoseStamped, pose_topic, self._take_pose, qos.SENSOR)
 
     @property
     def lost(self) -> str:
         """Why the input is lost, one line; else empty."""
         now_s = time.monotonic()
-        if self._liveliness.is_dead(now_s):
+        if self.liveliness.is_dead(now_s):
             return Reason.SILENT.says(seconds=self._lost_after_s)
         since_s = self.silent_since_s
         if since_s is not None and now_s - since_s > self._lost_after_s:
             return Reason.UNPUBLISHED.says(topic=self._base.resolved(self.topic))
         return ""
 
-    @property
-    def is_back(self) -> bool:
-        """Whether the lost process lives again, with the same map."""
-        return self._liveliness.is_back
-
     def ask(self, lost_after_s: float) -> None:
         """Change the time after which the input is lost."""
         if lost_after_s != self._lost_after_s:
             self._lost_after_s = lost_after_s
             self._close("lease")
-            self._liveliness = Liveliness()
+            self.liveliness = Liveliness()
             self._watch()
 
     def hear_path(self, on_path: Callable[[bytes], None]) -> None:
         """Subscribe to ``NAME/path``, serialized."""
         if self._stem is not None and "path" not in self._subscriptions:
-            self._subscriptions["path"] = self._base.subscribe(
-                Path, f"{self._stem}/path", on_path, qos.MAP, raw=True
-            )
+            self._subscribe("path", Path, f"{self._stem}/path", on_path, qos.MAP, raw=True)
 
     def close(self) -> None:
         """End all subscriptions."""
@@ -342,12 +317,10 @@ class MapSource:
         if profile != self._profile:
             self._profile = profile
             self._close("map")
-            self._listen()
+            self._subscribe("map", OccupancyGrid, self.topic, self._take_map, profile)
 
-    def _listen(self) -> None:
-        self._subscriptions["map"] = self._base.subscribe(
-            OccupancyGrid, self.topic, self._take_map, self._profile
-        )
+    def _subscribe(self, what: str, *wanted: Any, **more: Any) -> None:
+        self._subscriptions[what] = self._base.subscribe(*wanted, **more)
 
     def _close(self, what: str) -> None:
         if what in self._subscriptions:
@@ -379,15 +352,15 @@ class MapSource:
 
     def _on_liveliness(self, event: Any) -> None:
         counts = event.alive_count, event.alive_count_change, event.not_alive_count_change
-        if self._liveliness.take(*counts, time.monotonic()):
+        if self.liveliness.take(*counts, time.monotonic()):
             self._on_map(self, None)
 
     def _take_map(self, message: Any) -> None:
         self._clocks.hear(self.name, "map", messages.stamp_s(message))
         # The sender lives, even if the last one with a lease does not.
         self.silent_since_s = None
-        if self._liveliness.is_dead(time.monotonic()):
-            self._liveliness.forgive()
+        if self.liveliness.is_dead(time.monotonic()):
+            self.liveliness.silent_since_s = None
         if messages.MapUpdate is not None:
             self._last = message
         self._on_map(self, message)

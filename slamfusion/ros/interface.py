@@ -78,16 +78,12 @@ def _rows(table: str) -> Iterator[list[str]]:
         yield [*cells.split(" | "), " ".join(line.strip() for line in text)]
 
 
-def _topic(name: str, kind: str, writers: str, readers: str, qos: str, *rest: str) -> Topic:
-    *needs, text = rest
-    qos = LATCHED if qos == "latched" else qos
-    needs_tf2 = needs[0] == "with tf2" if needs else None
-    return Topic(name, kind, _nodes(writers), _nodes(readers), qos, text, needs_tf2)
-
-
-def _nodes(group: str) -> tuple[str, ...]:
+def _topic(name: str, kind: str, *cells: str) -> Topic:
     named = {"-": "", "all": "producers fusion player"}
-    return tuple(named.get(group, group).split())
+    writers, readers = (tuple(named.get(group, group).split()) for group in cells[:2])
+    qos, *needs, text = cells[2:]
+    needs_tf2 = needs[0] == "with tf2" if needs else None
+    return Topic(name, kind, writers, readers, qos.replace("latched", LATCHED), text, needs_tf2)
 
 
 # Name, type, writers, readers, quality of service, whether it depends on tf2_msgs; then the text.

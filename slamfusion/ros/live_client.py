@@ -43,7 +43,6 @@ class LiveClient:
         self._target = "/" + node.strip("/")
         self._timeout_s = timeout_s
         self._context = Context()
-        self._diagnostics: Any = None
         self._heard: list[Any] = []
 
     def __enter__(self) -> LiveClient:  # noqa: PYI034  (Self is newer than Python 3.10)
@@ -52,6 +51,7 @@ class LiveClient:
         self._node = rclpy.create_node(name, context=self._context)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
+        self._node.create_subscription(DiagnosticArray, DIAGNOSTICS_TOPIC, self._keep, qos.STREAM)
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -61,10 +61,6 @@ class LiveClient:
 
     def status(self) -> LiveStatusDocument:
         """Return the next status of the node and its inputs."""
-        if self._diagnostics is None:
-            self._diagnostics = self._node.create_subscription(
-                DiagnosticArray, DIAGNOSTICS_TOPIC, self._keep, qos.STREAM
-            )
         self._heard.clear()
         self._wait(lambda: bool(self._heard), "diagnostics")
         own = {status.name.partition(": ")[2]: status for status in self._heard[-1].status}
@@ -97,13 +93,9 @@ class LiveClient:
         return self._set(parameter, f"{name} is {parameter.value!r} now")
 
     def add(self, name: str, topic: str | None = None) -> LiveAnswerDocument:
-        """Add an input, and return the answer.
+        """Add an input, and return the answer; ConfigError for an invalid name.
 
-        Args:
-            topic: of its maps, or ``file:PATH`` as the node sees it; default: ``NAME/map``.
-
-        Raises:
-            ConfigError: the name is invalid.
+        ``topic``: of its maps, or ``file:PATH`` as the node sees it; default: ``NAME/map``.
         """
         entry = entry_for(name, topic)
         parameter = Parameter(INPUTS.name, value=[*self._entries(), entry])

@@ -26,10 +26,8 @@ TOKEN = re.compile(r"[A-Za-z0-9_-]{24,}")
 class LivePage:
     """Passes a node's data to the page's server, and the page's requests to the node.
 
-    Nothing here blocks: a thread of the server cuts maps into tiles.
-
-    Args:
-        command: executes ``save`` or ``reset``; called in a thread of the server.
+    Nothing here blocks: a thread of the server cuts maps into tiles, and another one calls
+    ``command`` with ``save`` or ``reset``.
 
     Raises:
         ConfigError: it cannot listen there, or the extra ``page`` is not installed.

@@ -22,7 +22,7 @@ from std_msgs.msg import Header
 from slamfusion import grid as grids
 from slamfusion import scan as scans
 from slamfusion.errors import GridError, ScanError, TrajectoryError
-from slamfusion.geometry import F64, Pose2, quaternion_yaw_rad
+from slamfusion.geometry import F64, Pose2, quaternion_yaw_rad, row_of
 from slamfusion.grid import IDENTITY
 from slamfusion.trajectory import Trajectory
 
@@ -74,9 +74,6 @@ def to_ns(seconds: float) -> int:
     return nanoseconds
 
 
-# --- poses -----------------------------------------------------------------------------------
-
-
 def pose2_from_message(pose: Any) -> Pose2:
     """Return the pose in the plane of a geometry_msgs/Pose or geometry_msgs/Transform.
 
@@ -114,10 +111,7 @@ def _pose(pose: Pose2) -> Pose:
 
 def pose_to_message(pose: Pose2, frame_id: str, stamp: Time) -> PoseStamped:
     """Return a geometry_msgs/PoseStamped; metres, height 0."""
-    message = PoseStamped()
-    message.header.frame_id, message.header.stamp = frame_id, stamp
-    _fill(message.pose.position, message.pose.orientation, pose)
-    return message
+    return PoseStamped(header=Header(frame_id=frame_id, stamp=stamp), pose=_pose(pose))
 
 
 def sure_pose_to_message(
@@ -134,16 +128,14 @@ def sure_pose_to_message(
 
 def odometry_to_message(pose: Pose2, frame_id: str, child: str, stamp: Time) -> Odometry:
     """Return a nav_msgs/Odometry without speeds and covariances (which stay 0)."""
-    header = Header(frame_id=frame_id, stamp=stamp)
-    message = Odometry(header=header, child_frame_id=child)
+    message = Odometry(header=Header(frame_id=frame_id, stamp=stamp), child_frame_id=child)
     message.pose.pose = _pose(pose)
     return message
 
 
 def transform_to_message(pose: Pose2, parent: str, child: str, stamp: Time) -> TransformStamped:
     """Return the pose of ``child`` in ``parent`` as a geometry_msgs/TransformStamped."""
-    header = Header(frame_id=parent, stamp=stamp)
-    message = TransformStamped(header=header, child_frame_id=child)
+    message = TransformStamped(header=Header(frame_id=parent, stamp=stamp), child_frame_id=child)
     _fill(message.transform.translation, message.transform.rotation, pose)
     return message
 
@@ -194,20 +186,21 @@ def path_to_bytes(
 
 def path_from_bytes(data: bytes, name: str) -> Trajectory:
     """Return a serialized nav_msgs/Path in its frame; TrajectoryError if it is invalid."""
-    found = _rows_of_path(data)
-    if found is None:
-        poses = deserialize_message(data, Path).poses
-        turned = [pose2_from_message(item.pose) for item in poses]
-        rows = np.array([(pose.x, pose.y, pose.yaw_rad) for pose in turned]).reshape(-1, 3)
-        return Trajectory(np.array([stamp_s(item) for item in poses]), rows, name)
-    stamps, poses = found
-    yaws = [quaternion_yaw_rad(*turn) for turn in poses[:, 3:].tolist()]
-    rows = np.column_stack((poses[:, :2], yaws))
-    return Trajectory(np.array([stamp / NS for stamp in stamps.tolist()]), rows, name)
+    rows = _rows_of_path(data)
+    poses: list[Any]
+    if rows is None:
+        items = deserialize_message(data, Path).poses
+        stamps_s = [stamp_s(item) for item in items]
+        poses = [row_of(pose2_from_message(item.pose)) for item in items]
+    else:
+        stamps = rows["sec"].astype(np.int64) * NS + rows["nanosec"]
+        stamps_s = [stamp / NS for stamp in stamps.tolist()]
+        poses = [(x, y, quaternion_yaw_rad(*turn)) for x, y, _, *turn in rows["pose"].tolist()]
+    return Trajectory(np.array(stamps_s), np.array(poses).reshape(-1, 3), name)
 
 
-def _rows_of_path(data: bytes) -> tuple[npt.NDArray[np.int64], F64] | None:
-    """Return stamps (N,), nanoseconds, and places and quaternions (N, 7) of a serialized path.
+def _rows_of_path(data: bytes) -> npt.NDArray[Any] | None:
+    """Return the poses of a serialized path; see ``_row_of_path``.
 
     None if it is empty, lies otherwise in memory, or has a pose that is none in the plane.
     """
@@ -239,12 +232,7 @@ def _rows_of_path(data: bytes) -> tuple[npt.NDArray[np.int64], F64] | None:
         & (length <= LENGTH_MAX)
         & (np.hypot(poses[:, 3], poses[:, 4]) <= TILT_MAX * length)
     )
-    if not is_plain.all():
-        return None
-    return rows["sec"].astype(np.int64) * NS + rows["nanosec"], poses
-
-
-# --- grids -----------------------------------------------------------------------------------
+    return rows if is_plain.all() else None
 
 
 def grid_from_message(message: Any, name: str) -> grids.OccupancyGrid:
@@ -292,9 +280,8 @@ def update_to_message(
     before: grids.OccupancyGrid, grid: grids.OccupancyGrid, header: Header
 ) -> Any:
     """Return the changed box as an OccupancyGridUpdate; None if unchanged or of another lattice."""
-    if (before.origin, before.resolution) != (grid.origin, grid.resolution):
-        return None
-    if before.cells.shape != grid.cells.shape:
+    lattices = [(one.origin, one.resolution, one.cells.shape) for one in (before, grid)]
+    if lattices[0] != lattices[1]:
         return None
     changed = before.cells != grid.cells
     rows, columns = np.flatnonzero(changed.any(axis=1)), np.flatnonzero(changed.any(axis=0))
@@ -338,9 +325,6 @@ def updated_map(message: OccupancyGrid, update: Any) -> OccupancyGrid:
     cells[y : y + height, x : x + width] = part
     header = Header(frame_id=own, stamp=update.header.stamp)
     return OccupancyGrid(header=header, info=info, data=data)
-
-
-# --- scans -----------------------------------------------------------------------------------
 
 
 def scan_from_message(

@@ -146,7 +146,6 @@ def declare_names(
         default: None: that of ``names``.
         check: called in the executor's thread with new names; refuses them by a SlamFusionError.
             None: the parameter is read-only.
-        on_change: called there after an accepted change.
 
     Raises:
         ConfigError: neither a list of texts nor a text with commas.
@@ -158,9 +157,9 @@ def declare_names(
         except ConfigError as error:
             raise ConfigError(f"{_where(node)}: {names.name}: {error}") from None
 
-    def each(function: Callable[[tuple[str, ...]], object] | None, changes: list[Any]) -> None:
+    def each(function: Callable[[tuple[str, ...]], object], changes: list[Any]) -> None:
         for item in changes:
-            if item.name == names.name and function is not None:
+            if item.name == names.name:
                 function(read(item.value))
 
     descriptor = ParameterDescriptor(
@@ -168,7 +167,7 @@ def declare_names(
     )
     default = names.default if default is None else default
     given = read(node.declare_parameter(names.name, [*default] or None, descriptor).value)
-    if check is not None:
+    if check is not None and on_change is not None:
         node.add_on_set_parameters_callback(lambda changes: _answer(lambda: each(check, changes)))
         node.add_post_set_parameters_callback(lambda changes: each(on_change, changes))
     return given
@@ -189,8 +188,7 @@ def declare_starts(
 ) -> dict[str, tuple[float, ...]]:
     """Declare a read-only parameter ``start.NAME`` for each input, and return those that are set.
 
-    Args:
-        may_come: other inputs may be added, with starts.
+    With ``may_come`` other inputs may be added, with starts.
 
     Returns:
         3 or 5 numbers by name: x, y in m, yaw in rad, and tolerances in m and rad.

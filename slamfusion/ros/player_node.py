@@ -9,7 +9,7 @@ import tempfile
 import threading
 import time
 import traceback
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -94,10 +94,10 @@ class PlayerNode(NodeBase):
         # Notified on poses, maps and the node's end.
         self._changed = threading.Condition()
         self._is_ending = False
-        # The newest map and its file by topic; the stamp of each producer's newest pose.
+        # The newest map and its file by topic; each producer's newest pose.
         self._maps: dict[str, Any] = {}
         self._stems: dict[str, Path] = {}
-        self._stamps_s: dict[str, float] = {}
+        self._poses: dict[str, Any] = {}
         # The newest fused path, serialized, and the stamp up to which the fused map is final.
         self._path: bytes | None = None
         self._final_s = -math.inf
@@ -111,7 +111,7 @@ class PlayerNode(NodeBase):
         self._clock = node.create_publisher(Clock, CLOCK_TOPIC, qos.STREAM)
         self._transforms = TransformOutput(node)
         for producer in self.wait_for:
-            on_pose = partial(self._on_pose, producer)
+            on_pose = partial(self._keep, self._poses, producer)
             self.subscribe(PoseStamped, f"{producer}/pose", on_pose, qos.STREAM)
         # Scans sent, each counted once, and repeated; stamp and mount of the last.
         self._sent = self._sent_again = self._rounds = 0
@@ -187,10 +187,15 @@ class PlayerNode(NodeBase):
     def _play(self) -> None:
         while not self._is_ending:
             self._rounds += 1
-            sent = self._sent
-            for item, following, wait_s in self._timed():
+            sent, last_s, self._due_s = self._sent, None, None
+            ahead, scans = itertools.tee(self._log)
+            next(ahead, None)
+            for item, following in itertools.zip_longest(scans, ahead):
+                stamp_s = item.scan.stamp_s
+                since_s = 0.0 if last_s is None else min(stamp_s - last_s, LONGEST_PAUSE_S)
+                last_s = stamp_s
                 if not self.settings.lockstep:
-                    self._run_clock(item.scan.stamp_s, wait_s)
+                    self._run_clock(stamp_s, since_s)
                 if self._is_ending:
                     return
                 before_s = self._stamp_s
@@ -223,7 +228,7 @@ class PlayerNode(NodeBase):
         if scan.mount != self._mount:
             self._mount = scan.mount
             frames = settings.base_frame, settings.laser_frame
-            self._transforms.send_static(scan.mount, *frames, stamp)
+            self._transforms.send(scan.mount, *frames, stamp, is_static=True)
         frames = settings.odom_frame, settings.base_frame
         for one in (item, following):
             if one is None or one.odometry is None:
@@ -246,20 +251,8 @@ class PlayerNode(NodeBase):
             self._shown_part, self._shown_s = part, now_s
             self.log.info(f"played {part / PARTS:.0%}: {self._sent} scans")
 
-    def _timed(self) -> Iterator[tuple[LogScan, LogScan | None, float]]:
-        """Yield scans, the next one, and the recorded time since the last, seconds."""
-        before_s: float | None = None
-        ahead, scans = itertools.tee(self._log)
-        next(ahead, None)
-        for item, following in itertools.zip_longest(scans, ahead):
-            stamp_s = item.scan.stamp_s
-            wait_s = 0.0 if before_s is None else min(stamp_s - before_s, LONGEST_PAUSE_S)
-            yield item, following, wait_s
-            before_s = stamp_s
-        self._due_s = None
-
     def _run_clock(self, stamp_s: float, since_s: float) -> None:
-        """Wait until a scan is due, and advance the clock meanwhile."""
+        """Wait until a scan is due, ``since_s`` after the last, and advance the clock meanwhile."""
         now_s = time.monotonic()
         due_s, rate = self._due_s, self.settings.rate
         # After a delay it continues from now, without catching up.
@@ -292,15 +285,14 @@ class PlayerNode(NodeBase):
         return [
             name
             for name in self.wait_for
-            if abs(self._stamps_s.get(name, math.inf) - stamp_s) > STAMP_TOLERANCE_S
+            if name not in self._poses
+            or abs(messages.stamp_s(self._poses[name]) - stamp_s) > STAMP_TOLERANCE_S
         ]
 
-    def _on_pose(self, name: str, message: Any) -> None:
+    def _keep(self, newest: dict[str, Any], name: str, message: Any) -> None:
         with self._changed:
-            self._stamps_s[name] = messages.stamp_s(message)
+            newest[name] = message
             self._changed.notify_all()
-
-    # --- maps that are written at the end ----------------------------------------------------
 
     def _open_maps(self, topics: Sequence[str], folder: Path, log: Path) -> None:
         """Subscribe to maps, and check early that they can be written."""
@@ -316,7 +308,7 @@ class PlayerNode(NodeBase):
         with tempfile.TemporaryFile(dir=folder):
             pass  # the folder is writable
         for topic in topics:
-            self.subscribe(OccupancyGrid, topic, partial(self._on_map, topic), qos.MAP)
+            self.subscribe(OccupancyGrid, topic, partial(self._keep, self._maps, topic), qos.MAP)
         if MAP_TOPIC in topics:
             self.subscribe(PathMessage, PATH_TOPIC, self._on_path, qos.MAP, raw=True)
             self.subscribe(DiagnosticArray, DIAGNOSTICS_TOPIC, self._on_diagnostics, qos.STREAM)
@@ -359,22 +351,15 @@ class PlayerNode(NodeBase):
         ]
 
     def _on_diagnostics(self, message: Any) -> None:
-        told = [own.value for status in message.status for own in status.values if own.key == FINAL]
+        values = [own for status in message.status for own in status.values]
         with self._changed:
-            for value in told:
-                if value != shown(None):
-                    self._final_s = float(value)
+            for own in values:
+                if own.key == FINAL and own.value != shown(None):
+                    self._final_s = float(own.value)
             self._changed.notify_all()
 
     def _on_path(self, data: bytes) -> None:
         self._path = data
-
-    def _on_map(self, topic: str, message: Any) -> None:
-        with self._changed:
-            self._maps[topic] = message
-            self._changed.notify_all()
-
-    # --- diagnostics and end -----------------------------------------------------------------
 
     def statuses(self) -> list[Status]:
         """Return one line with the progress."""

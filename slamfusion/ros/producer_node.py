@@ -6,7 +6,6 @@ if the SLAM allows it (``DrawsAside``), so that maps delay scans as little as po
 
 from __future__ import annotations
 
-import dataclasses
 import math
 import time
 from typing import Any
@@ -22,7 +21,7 @@ from slamfusion.ros.frames import TransformOutput
 from slamfusion.ros.parameters import declare
 from slamfusion.ros.scan_input import SCAN_TOPIC, ArrivedScan, ScanInput
 from slamfusion.slam.registry import producer, settings_of
-from slamfusion.slam.session import Answer, ProducerSession, QueuedScan, Snapshot, UndrawnMap
+from slamfusion.slam.session import Answer, ProducerSession, QueuedScan, UndrawnMap
 
 # After this long with scans but without a transform, the lack is reported, seconds.
 NEVER_SENT_S = 5.0
@@ -41,7 +40,6 @@ LOOK_S = 0.1
 PAUSE_S = 1.0
 # A scan that takes longer is reported.
 SLOW_SCAN_S = 5.0
-STRAY = "a stamp far from those before and after it"
 
 
 class ProducerNode(NodeBase):
@@ -68,8 +66,7 @@ class ProducerNode(NodeBase):
         )
         section = declare(node, settings_of(RunConfig(), kind), kind)
         device = declare(node, DeviceConfig())
-        self._config = dataclasses.replace(
-            RunConfig(),
+        self._config = RunConfig(
             producers={kind: section},
             device=device,
             seed=self.settings.seed,
@@ -86,10 +83,7 @@ class ProducerNode(NodeBase):
             lambda: open_device(device.device),
             wants_odometry=self.settings.odometry_source in {"tf", "topic"},
         )
-
-        # Only in the executor's thread.
-        self._dropped = 0
-
+        self._dropped = 0  # only in the executor's thread
         name = self.name
         self._map_topic = node.create_publisher(OccupancyGrid, f"{name}/map", qos.MAP)
         self._metadata_topic = node.create_publisher(MapMetaData, f"{name}/map_metadata", qos.MAP)
@@ -125,9 +119,9 @@ class ProducerNode(NodeBase):
             lambda: inputs.read(scan),
             lambda times: inputs.odometry_at(scan, times, is_first=session.is_before_odometry),
         )
-        lost = self._worker.put((queued, scan.message.header.stamp))
-        if any(lost):
-            self._dropped += sum(map(bool, lost))
+        lost = sum(map(bool, self._worker.put((queued, scan.message.header.stamp))))
+        self._dropped += lost
+        if lost:
             text = (
                 f"too slow for the scans: the oldest of {self.settings.scan_queue} that wait is "
                 "dropped for each new one; take a faster device or fewer scans"
@@ -135,7 +129,6 @@ class ProducerNode(NodeBase):
             self.diagnostics.note("slow", text)
 
     def _begin_new_map(self) -> None:
-        """Start a new map: time has jumped back."""
         self._session.begin_new_map()
         self._dropped += sum(map(bool, self._worker.clear()))
 
@@ -159,8 +152,7 @@ class ProducerNode(NodeBase):
             or (snapshot.is_path_due and self._is_path_heard())
             or (self._is_paused and not snapshot.is_settled)
         )
-        is_due = self._session.is_map_due(self._map_interval_s())
-        if self._worker.is_idle() and is_due and wanted:
+        if self._worker.is_idle() and self._is_map_due() and wanted:
             self._worker.put(None)
 
     @property
@@ -170,9 +162,9 @@ class ProducerNode(NodeBase):
     def _is_path_heard(self) -> bool:
         return bool(self._path_topic.get_subscription_count() > 0)
 
-    def _map_interval_s(self) -> float:
+    def _is_map_due(self) -> bool:
         asked_s = self.settings.map_update_interval_s
-        return self._own_interval_s if asked_s is None else asked_s
+        return self._session.is_map_due(self._own_interval_s if asked_s is None else asked_s)
 
     # --- the worker's thread -----------------------------------------------------------------
 
@@ -184,8 +176,7 @@ class ProducerNode(NodeBase):
                 self.diagnostics.note("slam", session.snapshot.problem, Level.ERROR)
             if answer is not None:
                 self._answer(answer, item[1])
-        is_due = session.is_map_due(self._map_interval_s())
-        if item is None or (session.snapshot.unmapped and is_due):
+        if item is None or (session.snapshot.unmapped and self._is_map_due()):
             made = session.read_map(is_path_heard=self._is_path_heard(), is_paused=self._is_paused)
             if made is not None:
                 self._messages.put(made)
@@ -194,47 +185,21 @@ class ProducerNode(NodeBase):
         if answer.unused:
             self.diagnostics.note("blind", answer.unused)
         self._pose_topic.publish(messages.pose_to_message(answer.pose, self._map_frame, stamp))
-        if answer.is_new:
-            self._send_transform(answer, stamp)
-
-    # --- the transform from the map to the odometry, while ``publish_tf`` is on ----------------
-
-    @property
-    def _child_frame(self) -> str:
-        """The child frame of the transform: without odometry the robot's base."""
-        settings = self.settings
-        return settings.base_frame if settings.odometry_source == "none" else settings.odom_frame
-
-    def _send_transform(self, answer: Answer, stamp: Any) -> None:
-        pose, settings = answer.pose, self.settings
-        if self._transforms is None or not settings.publish_tf:
+        if not answer.is_new or self._transforms is None or not self.settings.publish_tf:
             return
-        if settings.odometry_source != "none":
+        pose = answer.pose
+        if self.settings.odometry_source != "none":
             if answer.odometry is None:
                 return
             pose = pose.compose(answer.odometry.inverse())
         self._transforms.send(pose, self._map_frame, self._child_frame, stamp)
         self._has_sent_transform = True
 
-    def _name_transform(self, *, is_due: bool) -> None:
-        """Report a missing transform while scans come, and other senders of it."""
+    @property
+    def _child_frame(self) -> str:
+        """The child frame of the sent transform: without odometry the robot's base."""
         settings = self.settings
-        wanted = {
-            "topic": "odometry at the scans' times; check its topic and its stamps",
-            "tf": f"transforms from {settings.base_frame!r} to {settings.odom_frame!r} at the "
-            "scans' times; check base_frame and odom_frame",
-            "none": "scans that are used; see what else is said",
-        }[settings.odometry_source]
-        text = (
-            f"publish_tf is on and {self._map_frame!r} -> {self._child_frame!r} cannot be sent: it "
-            f"needs {wanted}"
-        )
-        is_unsent, self._has_sent_transform = is_due and not self._has_sent_transform, False
-        words = text if is_unsent else None
-        self.diagnostics.say("unsent", words, Level.ERROR, after_s=NEVER_SENT_S)
-        rival = "" if self._transforms is None else self._transforms.rival()[1]
-        text = f"{rival}: set publish_tf to false in all but one"
-        self.diagnostics.say("rival", text if rival else None, Level.ERROR)
+        return settings.base_frame if settings.odometry_source == "none" else settings.odom_frame
 
     # --- the thread of messages --------------------------------------------------------------
 
@@ -250,8 +215,6 @@ class ProducerNode(NodeBase):
             )
         self._session.count_map()
 
-    # --- diagnostics -------------------------------------------------------------------------
-
     def statuses(self) -> list[Status]:
         """Return one line with the state of the SLAM and its figures."""
         self._name_silence()
@@ -260,16 +223,13 @@ class ProducerNode(NodeBase):
         text = "; ".join(snapshot.contradictions)
         self.diagnostics.say("odometry against path", text or None)
         level, message = self.diagnostics.worst("mapping" if snapshot.fed else "waiting for scans")
-        return [Status("slam", level, message, self._figures(snapshot))]
-
-    def _figures(self, snapshot: Snapshot) -> dict[str, object]:
         scans, odometry, drawn = self._inputs, self._inputs.odometry, self._session.drawn
         health, now_s = snapshot.health, time.monotonic()
         heard_s = None if odometry is None else odometry.last_s
         median_ms, high_ms = snapshot.latencies_ms()
-        left_out = {STRAY: scans.strays} if scans.strays else {}
-        left_out |= snapshot.left_out
-        return {
+        strays = {"a stamp far from those before and after it": scans.strays}
+        left_out = {**(strays if scans.strays else {}), **snapshot.left_out}
+        values = {
             "scans fed": snapshot.fed,
             "scans used": health.scans_used,
             "scans held for their stamps": scans.held,
@@ -300,23 +260,40 @@ class ProducerNode(NodeBase):
             "last scan [s ago]": now_s - scans.last_s if scans.received else None,
             "device": self._device.name,
         }
+        return [Status("slam", level, message, values)]
 
     def _name_silence(self) -> None:
         """Report missing scans, a slow scan, and problems with /tf."""
         now_s = time.monotonic()
-        silent_s = now_s - self._inputs.last_s
         topic, writers = self.resolved(SCAN_TOPIC), self.node.count_publishers(SCAN_TOPIC)
         who = f"{writers} node(s) could send them" if writers else "no node sends them"
         since = "yet" if not self._inputs.received else "any more"
         # Without the time, so that the text stays the same.
         text = f"no scans on {topic!r} {since}; {who}"
-        is_silent = silent_s > self.settings.scans_stale_s
+        is_silent = now_s - self._inputs.last_s > self.settings.scans_stale_s
         self.diagnostics.say("scans", text if is_silent else None, Level.STALE)
         busy_s = self._session.snapshot.busy_since_s
         is_slow = busy_s is not None and now_s - busy_s > SLOW_SCAN_S
         text = "a scan has been worked on for over 5 s"
         self.diagnostics.say("busy", text if is_slow else None, Level.ERROR)
-        self._name_transform(is_due=not is_silent and self.settings.publish_tf)
+        is_due = self.settings.publish_tf and not is_silent and not self._has_sent_transform
+        self._has_sent_transform = False
+        settings = self.settings
+        wanted = {
+            "topic": "odometry at the scans' times; check its topic and its stamps",
+            "tf": f"transforms from {settings.base_frame!r} to {settings.odom_frame!r} at the "
+            "scans' times; check base_frame and odom_frame",
+            "none": "scans that are used; see what else is said",
+        }[settings.odometry_source]
+        text = (
+            f"publish_tf is on and {self._map_frame!r} -> {self._child_frame!r} cannot be sent: it "
+            f"needs {wanted}"
+        )
+        words = text if is_due else None
+        self.diagnostics.say("unsent", words, Level.ERROR, after_s=NEVER_SENT_S)
+        rival = "" if self._transforms is None else self._transforms.rival()[1]
+        text = f"{rival}: set publish_tf to false in all but one"
+        self.diagnostics.say("rival", text if rival else None, Level.ERROR)
 
     def close(self) -> None:
         """End the threads after the current scan."""

@@ -20,9 +20,7 @@ def profile(
 ) -> QoSProfile:
     """Return a quality of service.
 
-    Args:
-        lease_s: liveliness lease, seconds; a reader that requests it receives nothing from writers
-            with none or a longer one.
+    A reader with the liveliness lease ``lease_s`` hears no writer with none or a longer one.
     """
     found = QoSProfile(
         depth=depth,

@@ -18,20 +18,15 @@ from slamfusion.io.log import FARTHEST_M
 from slamfusion.io.stamps import Passed, StampGate
 from slamfusion.io.transforms import Mount, TransformError
 from slamfusion.ros import messages, qos
-from slamfusion.ros.base import Level, NodeBase
+from slamfusion.ros.base import FORWARD_JUMP_S, Level, NodeBase, jump_words
 from slamfusion.ros.frames import TransformInput, TransformStore
 from slamfusion.scan import LaserScan as Scan
 from slamfusion.slam.session import LeftOutError
 
 # Odometry older than this is silent, seconds.
 ODOMETRY_ALIVE_S = 1.0
-# A larger forward jump of the scans is reported, seconds.
-FORWARD_JUMP_S = 10.0
-
 
 SCAN_TOPIC, ODOM_TOPIC = "scan", "odom"
-NO_LASER_FRAME = "no transform from the laser"
-NO_SCAN = "angles or ranges that cannot be a scan"
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,13 +56,10 @@ class ScanInput:
         on_restart: called before the first scan after a jump back.
 
     Attributes:
-        received: number of scans received.
         last_s: ``time.monotonic`` of the last scan, or of the start.
         transforms: from ``/tf``; None if unused.
         odometry: its store; None without odometry.
-        held: scans held back for their stamps now.
-        strays: scans left out for their stamps.
-        jumps_back: number of jumps back.
+        held, strays: scans held back for their stamps now, and those left out.
     """
 
     def __init__(
@@ -138,11 +130,11 @@ class ScanInput:
             read = messages.scan_from_message(scan.message, mount.pose, is_flipped=mount.is_flipped)
         except ScanError as error:
             self._base.diagnostics.note("scan", str(error))
-            raise LeftOutError(NO_SCAN) from error
+            raise LeftOutError("angles or ranges that cannot be a scan") from error
         return read.remounted(self._settings.laser)
 
     def _mount(self, scan: ArrivedScan) -> Mount:
-        """Return the laser's mount at a scan; LeftOutError, reported, if it is unknown."""
+        """Return the laser's mount at a scan; see ``read``."""
         settings = self._settings
         if settings.laser_source == "parameter":
             return Mount(Pose2(settings.laser_x, settings.laser_y, settings.laser_yaw))
@@ -160,7 +152,7 @@ class ScanInput:
                 "laser_source to parameter"
             )
             self._base.diagnostics.say("laser", text, Level.ERROR)
-            raise LeftOutError(NO_LASER_FRAME) from error
+            raise LeftOutError("no transform from the laser") from error
         self._base.diagnostics.clear("laser")
         return mount
 
@@ -208,8 +200,6 @@ class ScanInput:
             return 0.0
         return max(0.0, scan.arrived_s + self._settings.odometry_wait_s - now_s)
 
-    # -- stamps -----------------------------------------------------------------------------------
-
     def _take_scan(self, message: Any) -> None:
         self.received += 1
         self.last_s = time.monotonic()
@@ -250,8 +240,8 @@ class ScanInput:
         if heard_s is None or is_silent or abs(heard_s - after_s) < abs(heard_s - before_s):
             return True
         text = (
-            f"scans jumped {_way(before_s, after_s)} and the odometry did not: they are left out, "
-            "and the map stays; check the clocks of both"
+            f"scans jumped {jump_words(after_s - before_s, after_s)} and the odometry did not: "
+            "they are left out, and the map stays; check the clocks of both"
         )
         self._base.diagnostics.say("clocks", text, Level.ERROR)
         return False
@@ -273,15 +263,10 @@ class ScanInput:
         diagnostics = self._base.diagnostics
         diagnostics.clear("clocks")
         after_s = passed.items[0].stamp_s
-        text = f"scans jumped {_way(before_s, after_s)}"
+        text = f"scans jumped {jump_words(after_s - before_s, after_s)}"
         if passed.jump is not None and passed.jump.is_back:
             self.jumps_back += 1
             diagnostics.clear("back")
             diagnostics.note("back", f"{text}: a new map starts")
         elif after_s > before_s + FORWARD_JUMP_S:
             diagnostics.note("forward", text)
-
-
-def _way(before_s: float, after_s: float) -> str:
-    way = "back" if after_s < before_s else "forward"
-    return f"{way} by {abs(after_s - before_s):.3f} s to {after_s:.3f} s"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -10,15 +9,12 @@ import pytest
 
 pytest.importorskip("rclpy", reason="rclpy is absent: install the extra ros, or source a ROS")
 
-import rclpy
 from nav_msgs.msg import OccupancyGrid
-from rclpy.context import Context
 from std_srvs.srv import Trigger
 
 from slamfusion.fusion.live.state import LiveState
 from slamfusion.geometry import Pose2
 from slamfusion.ros import messages, qos
-from slamfusion.ros.base import NodeBase
 from slamfusion.vote.lattice import Lattice
 from tests.fusion.live.maps import assert_same_lattice, share_standing, three, touched
 from tests.ros.fused import Makers, start_fusion
@@ -110,17 +106,6 @@ def test_a_state_that_cannot_be_used_is_named_and_never_written_over(
     assert f"there is no folder {absent}" in nowhere.text()
     assert "Traceback" not in nowhere.text()
     assert not absent.exists()
-
-
-@pytest.fixture
-def base(domain: int) -> Iterator[NodeBase]:
-    """A node without anything, in this process."""
-    context = Context()
-    rclpy.init(context=context, domain_id=domain)
-    node = NodeBase("keeper", context=context)
-    yield node
-    node.node.destroy_node()
-    rclpy.shutdown(context=context)
 
 
 def a_state() -> LiveState:
