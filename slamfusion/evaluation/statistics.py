@@ -102,14 +102,13 @@ def difference_test(first: npt.ArrayLike, second: npt.ArrayLike, *, paired: bool
     return DifferenceTest(low, high, float(t_test.pvalue), p_rank, pooled)
 
 
-def mean_interval(errors: npt.ArrayLike, share: float = 0.95) -> tuple[float, float]:
-    """Return the interval of the mean error by the percentile bootstrap; reproducible.
+def mean_interval(errors: npt.ArrayLike) -> tuple[float, float]:
+    """Return the 95 % interval of the mean error by the percentile bootstrap; reproducible.
 
     Errors are taken as independent, which those of one path are not quite.
 
     Args:
         errors: (N,) at least one; the sign does not count.
-        share: confidence level, between 0 and 1.
 
     Raises:
         ValueError: there is no error, or one is not finite.
@@ -125,7 +124,6 @@ def mean_interval(errors: npt.ArrayLike, share: float = 0.95) -> tuple[float, fl
         n_resamples=DRAWS,
         batch=DRAWS_AT_ONCE,
         vectorized=True,
-        confidence_level=share,
         method="percentile",
         random_state=np.random.default_rng(SEED),
     ).confidence_interval

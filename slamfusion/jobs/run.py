@@ -308,7 +308,13 @@ def _producers(
 ) -> tuple[RunProducer | FailedProducer, ...]:
     errors = {item.name: item for item in evaluations}
     return tuple(
-        FailedProducer.of(item)
+        FailedProducer(
+            name=item.name,
+            failed=item.reason,
+            process_time_s=item.time_s,
+            process_cpu_s=item.cpu_s,
+            detail=item.detail,
+        )
         if item.run is None
         else RunProducer(
             run=item.run,

@@ -6,7 +6,6 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from slamfusion.align.records import Alignment, FusionResult
 from slamfusion.config import FusionMode, RunConfig
@@ -33,9 +32,6 @@ from slamfusion.jobs.map_log import ProducerResult, write_producer
 from slamfusion.jobs.records import Circumstances
 from slamfusion.json_values import FLAT
 from slamfusion.trajectory import Trajectory
-
-if TYPE_CHECKING:
-    from slamfusion.slam.side_by_side import Outcome
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -76,17 +72,6 @@ class FailedProducer:
     process_cpu_s: float | None
     """Processor time of its process, seconds; null where unknown."""
     detail: str = field(default="", repr=False)
-
-    @classmethod
-    def of(cls, outcome: Outcome) -> FailedProducer:
-        """Return the record of a process that made no map."""
-        return cls(
-            name=outcome.name,
-            failed=outcome.reason,
-            process_time_s=outcome.time_s,
-            process_cpu_s=outcome.cpu_s,
-            detail=outcome.detail,
-        )
 
 
 @dataclass(frozen=True)

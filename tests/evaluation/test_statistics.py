@@ -61,8 +61,6 @@ def test_the_interval_of_a_mean_is_that_of_theory_where_errors_are_normal() -> N
     spread = stats.t.ppf(0.975, 399) * errors.std(ddof=1) / np.sqrt(400)
     assert found == pytest.approx((errors.mean() - spread, errors.mean() + spread), abs=0.01)
     assert found == mean_interval(errors) == mean_interval(-errors)
-    half = mean_interval(errors, 0.5)
-    assert found[0] < half[0] < errors.mean() < half[1] < found[1]
     # What the draws of seed 0 give, on every machine.
     found = mean_interval([0.03, 0.07, 0.011, 0.045, 0.09, 0.2])
     assert found == pytest.approx((0.032825, 0.1275), rel=1e-12)

@@ -25,7 +25,6 @@ from slamfusion.jobs.run_files import DriveFusion, FailedProducer, LogRun, RunPr
 from slamfusion.jobs.run_many import LogTask, outcome
 from slamfusion.jobs.saved_maps import SavedMaps
 from slamfusion.json_values import plain
-from slamfusion.slam.side_by_side import Outcome
 from slamfusion.trajectory import Trajectory
 from tests.evidence.rooms import circuit, recorded
 from tests.fusion.drawings import building
@@ -98,7 +97,9 @@ def assert_all_that_is_doubtful_is_told(run: LogRun) -> None:
         for item in run.producers
         if isinstance(item, RunProducer)
     ]
-    died = FailedProducer.of(Outcome("gmapping", None, "it was killed", 1.0))
+    died = FailedProducer(
+        name="gmapping", failed="it was killed", process_time_s=1.0, process_cpu_s=None
+    )
     less = replace(
         run,
         producers=(*producers, died),

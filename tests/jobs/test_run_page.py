@@ -26,7 +26,6 @@ from slamfusion.jobs.run_files import DriveFusion, FailedProducer, LogRun, RunFi
 from slamfusion.jobs.run_page import run_page, write_run_page
 from slamfusion.palette import NAMED, OTHERS
 from slamfusion.slam.common.runner import ProducerRun, run_producer
-from slamfusion.slam.side_by_side import Outcome
 from slamfusion.trajectory import Trajectory
 from tests.report.drawn import NASTY, REASON, fusion, room
 from tests.report.test_reports import check_scripts, read
@@ -70,7 +69,8 @@ def everything() -> LogRun:
         )
         for grid in (room("room 0", 0), room("fused", 7))
     ]
-    died = FailedProducer.of(Outcome("gmapping", None, f"its process was killed {NASTY}", 1.0))
+    why = f"its process was killed {NASTY}"
+    died = FailedProducer(name="gmapping", failed=why, process_time_s=1.0, process_cpu_s=None)
     producers = [
         RunProducer(
             run=run,

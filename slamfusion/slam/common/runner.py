@@ -34,8 +34,8 @@ class Resumable(Mapper, Protocol):
 
 
 BYTES_PER_MB = 1e6
-# Percent of the scans that took at most p50, p95, p99, p999.
-TIME_PERCENTILES = (50.0, 95.0, 99.0, 99.9)
+# Unit of the system's peak memory.
+PEAK_BYTES = 1 if sys.platform == "darwin" else 1024
 # Name of the path as it was reported during the run.
 FIRST_REPORTED = "as first reported"
 # Share of the scans with a low match, and number of these in a row, from which on the robot may be
@@ -137,7 +137,7 @@ class ProducerRun:
     def __post_init__(self) -> None:
         """Work out what follows from the rest."""
         feed_ms, stamps_s, wheels = 1e3 * self.feed_s, self.trajectory.stamps_s, self.odometry
-        p50, p95, p99, p999 = np.percentile(feed_ms, TIME_PERCENTILES).tolist()
+        p50, p95, p99, p999 = np.percentile(feed_ms, (50.0, 95.0, 99.0, 99.9)).tolist()
         vars(self).update(
             scans=self.health.scans,
             scans_used=self.health.scans_used,
@@ -233,6 +233,7 @@ def run_producer(
         raise SlamFusionError(_nothing_used(mapper, record, len(feed_s)))
     grid, trajectory = mapper.grid(), mapper.trajectory()
     time_s, rows = time.perf_counter() - begun_s, np.array(odometry)
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * PEAK_BYTES
     return ProducerRun(
         name=mapper.name,
         trajectory=trajectory,
@@ -244,7 +245,7 @@ def run_producer(
         feed_s=np.array(feed_s),
         low_scores_in_a_row=longest_row,
         peak_memory_mb=max(memory, mapper.memory_bytes()) / BYTES_PER_MB,
-        process_peak_memory_mb=_process_peak_bytes() / BYTES_PER_MB,
+        process_peak_memory_mb=peak / BYTES_PER_MB,
         complete=is_complete,
         known_scans=known_scans,
         series=mapper.series(),
@@ -264,8 +265,3 @@ def _nothing_used(mapper: Mapper, record: LogRecord | None, fed: int) -> str:
         f"{where}{mapper.name} could use none of {fed} scans{why}; "
         "give a log whose scans see walls within the usable range"
     )
-
-
-def _process_peak_bytes() -> int:
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return peak if sys.platform == "darwin" else 1024 * peak

@@ -69,8 +69,8 @@ class Tracker(Stateful):
 
     Attributes:
         health: the producer's record; receives match scores and rejected odometry.
-        searches_again: search again, wider, after a low match.
-        resolves_degeneracy: follow odometry along a match's degenerate direction, as in a corridor.
+        resolves_degeneracy: follow odometry along a match's degenerate direction, as in a corridor,
+            instead of a wider search after a low match.
         doubts_young_map: trust odometry more while few scans are in the map.
         expects_standstill: without odometry expect the robot to stand, not to continue.
         pose, odometry: at the last scan; None before the first or without odometry.
@@ -93,7 +93,6 @@ class Tracker(Stateful):
     rng: np.random.Generator
     health: Health
     expects_standstill: bool = False
-    searches_again: bool = True
     resolves_degeneracy: bool = False
     doubts_young_map: bool = False
     pose: Pose2 | None = None
@@ -134,7 +133,7 @@ class Tracker(Stateful):
         match = search_pose(scan, hypotheses, self.rng, trust, first_poses=count)
         mean = self.running_mean_score
         is_low = mean is not None and match.score < LOW_SHARE * mean
-        if is_low and self.searches_again:
+        if is_low and not self.resolves_degeneracy:
             around = [replace(g, spread=SECOND_SEARCH_SPREAD * g.spread) for g in hypotheses]
             more = SECOND_SEARCH_POSES * count
             again = search_pose(scan, around, self.rng, trust, first_poses=more)

@@ -74,9 +74,7 @@ class Localizer(Tracker):
         search: ClosureSearch,
         health: GraphHealth,
     ) -> None:
-        super().__init__(
-            config.matcher, device, rng, health, searches_again=False, resolves_degeneracy=True
-        )
+        super().__init__(config.matcher, device, rng, health, resolves_degeneracy=True)
         self._local_map, self._search = local_map, search
         # Consecutive uncertain scans, and the bad ones among the last ``FAILED_SCANS``.
         self._unsure_row = 0
