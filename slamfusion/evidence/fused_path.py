@@ -39,7 +39,8 @@ from slamfusion.evidence.path_frames import (
 )
 from slamfusion.evidence.predictive import PathEvidence
 from slamfusion.geometry import F64, compose_poses, invert_poses, travelled
-from slamfusion.pose_graph import PoseGraph, optimize
+from slamfusion.pose_graph.graph import PoseGraph
+from slamfusion.pose_graph.optimize import optimize
 from slamfusion.trajectory import Trajectory
 
 I64 = npt.NDArray[np.int64]

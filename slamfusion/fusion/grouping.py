@@ -33,7 +33,8 @@ from slamfusion.align.search import SearchResult
 from slamfusion.align.shifts import parallel_shifts
 from slamfusion.config import AlignConfig
 from slamfusion.geometry import F64, Pose2, pose_of, row_of
-from slamfusion.pose_graph import PoseGraph, optimize
+from slamfusion.pose_graph.graph import PoseGraph
+from slamfusion.pose_graph.optimize import optimize
 from slamfusion.pose_graph.uncertainty import inverted, moved
 
 # Aligns two maps, by name, with a full search.

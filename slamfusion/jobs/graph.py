@@ -13,7 +13,8 @@ from slamfusion.io import AtomicFiles, write_tum
 from slamfusion.jobs.inputs import as_path
 from slamfusion.jobs.records import Settings
 from slamfusion.json_values import FLAT
-from slamfusion.pose_graph import GraphFile, Optimized, optimize, read_g2o, write_g2o
+from slamfusion.pose_graph.g2o import GraphFile, read_g2o, write_g2o
+from slamfusion.pose_graph.optimize import Optimized, optimize
 from slamfusion.trajectory import Trajectory
 
 

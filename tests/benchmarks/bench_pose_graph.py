@@ -56,7 +56,8 @@ from rich.console import Console
 from rich.table import Table
 
 from slamfusion.geometry import compose_poses, invert_poses
-from slamfusion.pose_graph import PoseGraph, chi2_of, optimize, read_g2o
+from slamfusion.pose_graph.g2o import read_g2o
+from slamfusion.pose_graph.graph import PoseGraph
 from slamfusion.pose_graph.least_squares import (
     Measurements,
     NormalEquations,
@@ -64,7 +65,7 @@ from slamfusion.pose_graph.least_squares import (
     descend,
     rotations_first,
 )
-from slamfusion.pose_graph.optimize import Robust
+from slamfusion.pose_graph.optimize import Robust, chi2_of, optimize
 from tests.benchmarks.record import add_record_option, console_for
 from tests.pose_graph.graphs import POSE_GRAPHS, apart, with_false_closures
 from tests.pose_graph.gtsam_oracle import GtsamGraph, has_gtsam

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from slamfusion.geometry import compose_poses, invert_poses
-from slamfusion.pose_graph import PoseGraph, loop_closing
+from slamfusion.pose_graph.graph import PoseGraph, loop_closing
 from tests.support.datasets import DATASETS
 
 POSE_GRAPHS = DATASETS / "pose-graphs"

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from slamfusion.geometry import wrap_angle
-from slamfusion.pose_graph import PoseGraph
+from slamfusion.pose_graph.graph import PoseGraph
 
 Array = npt.NDArray[np.float64]
 

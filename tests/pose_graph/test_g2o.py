@@ -12,7 +12,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from slamfusion.errors import GraphError
-from slamfusion.pose_graph import PoseGraph, read_g2o, write_g2o
+from slamfusion.pose_graph.g2o import read_g2o, write_g2o
+from slamfusion.pose_graph.graph import PoseGraph
 from tests.pose_graph.graphs import INFORMATION, drawn, laps
 from tests.support.examples import examples
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from slamfusion.errors import GraphError
-from slamfusion.pose_graph import chi2_of, loop_closing
-from slamfusion.pose_graph.graph import chained_poses
+from slamfusion.pose_graph.graph import chained_poses, loop_closing
+from slamfusion.pose_graph.optimize import chi2_of
 from tests.pose_graph.graphs import drawn, laps, ring
 
 

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from slamfusion.errors import GraphError
 from slamfusion.geometry import compose_poses, wrap_angles
-from slamfusion.pose_graph import PoseGraph, Start, chi2_of, optimize, read_g2o
-from slamfusion.pose_graph.graph import chained_poses
+from slamfusion.pose_graph.g2o import read_g2o
+from slamfusion.pose_graph.graph import PoseGraph, chained_poses
 from slamfusion.pose_graph.least_squares import (
     Measurements,
     NormalEquations,
@@ -20,6 +20,7 @@ from slamfusion.pose_graph.least_squares import (
     descend,
     rotations_first,
 )
+from slamfusion.pose_graph.optimize import Start, chi2_of, optimize
 from tests.pose_graph.graphs import ABSENT, POSE_GRAPHS, drawn, laps, ring
 from tests.pose_graph.gtsam_oracle import GtsamGraph, has_gtsam
 from tests.support.examples import examples

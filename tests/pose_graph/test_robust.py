@@ -6,8 +6,9 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from slamfusion.pose_graph import PoseGraph, Robust, optimize, read_g2o
-from slamfusion.pose_graph.graph import chained_poses
+from slamfusion.pose_graph.g2o import read_g2o
+from slamfusion.pose_graph.graph import PoseGraph, chained_poses
+from slamfusion.pose_graph.optimize import Robust, optimize
 from tests.pose_graph.graphs import (
     ABSENT,
     POSE_GRAPHS,

@@ -7,8 +7,9 @@ import numpy.typing as npt
 import pytest
 
 from slamfusion.geometry import compose_poses, invert_poses, wrap_angles
-from slamfusion.pose_graph import PoseGraph, optimize
+from slamfusion.pose_graph.graph import PoseGraph
 from slamfusion.pose_graph.least_squares import Measurements, NormalEquations
+from slamfusion.pose_graph.optimize import optimize
 from slamfusion.pose_graph.uncertainty import gates, relative_covariances, turned
 from tests.pose_graph.graphs import INFORMATION, between, drawn, laps
 from tests.pose_graph.gtsam_oracle import GtsamGraph, has_gtsam

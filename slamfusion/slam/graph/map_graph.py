@@ -28,7 +28,9 @@ from slamfusion.geometry import (
 )
 from slamfusion.grid import IDENTITY
 from slamfusion.json_values import printed_as
-from slamfusion.pose_graph import Optimized, PoseGraph, Steps, optimize_in_steps, take_steps
+from slamfusion.pose_graph.graph import PoseGraph
+from slamfusion.pose_graph.least_squares import Steps, take_steps
+from slamfusion.pose_graph.optimize import Optimized, optimize_in_steps
 from slamfusion.pose_graph.uncertainty import turned
 from slamfusion.slam.common.mapper import Health
 from slamfusion.slam.common.state import Rows, Stateful
@@ -255,7 +257,6 @@ class MapGraph(Stateful):
         "constraints",
         "_node_bytes",
         "_weights",
-        "_outliers",
         "_new_outliers",
         "_unsolved",
         "_is_urgent",
@@ -271,9 +272,8 @@ class MapGraph(Stateful):
         self.constraints: list[Constraint] = []
         self._health = health
         self._node_bytes = 0
-        # Weights of the constraints in the last solution, and the number of outliers.
+        # Weights of the constraints in the last solution.
         self._weights = np.zeros(0)
-        self._outliers = 0
         # Outliers since all closures were last re-evaluated.
         self._new_outliers = 0
         # Closure events since the last solution, and whether several closures came at once.
@@ -431,11 +431,10 @@ class MapGraph(Stateful):
             anchor = anchors[number]
             since = compose_poses(invert_poses(before[anchor]), before[number])
             self.poses[number] = compose_poses(self.poses[anchor], since)
-        self._weights = solved.weights
         outliers = int(solved.is_outlier.sum())
-        more = max(0, outliers - self._outliers)
-        self._new_outliers = 0 if solved.is_reevaluated else self._new_outliers + more
-        self._outliers = outliers
+        more = outliers - int((self._weights < 0.5).sum())
+        self._weights = solved.weights
+        self._new_outliers = 0 if solved.is_reevaluated else self._new_outliers + max(0, more)
         health = self._health
         health.chi2, health.solve_s = solved.chi2, solution.time_s
         health.closure_outliers = outliers
