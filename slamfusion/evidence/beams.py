@@ -245,12 +245,15 @@ def cover_stamps(path: Trajectory, scans: JudgedScans) -> tuple[F64, B8]:
             _shares(path.stamps_s, before[gap], after[gap], stamps_s[gap]),
         )
     else:
-        there = _odometry_at(scans, path.stamps_s)
+        # Beyond its ends the odometry of the end.
+        later = np.clip(np.searchsorted(stamps_s, path.stamps_s), 1, count - 1)
+        share = _shares(stamps_s, later - 1, later, path.stamps_s)
+        there = blend_poses(scans.odometry[later - 1], scans.odometry[later], share)
         onward = _carried(path.poses[before[gap]], there[before[gap]], scans.odometry[gap])
         backward = _carried(path.poses[after[gap]], there[after[gap]], scans.odometry[gap])
         share = _shares(path.stamps_s, before[gap], after[gap], stamps_s[gap])
         poses[gap] = blend_poses(onward, backward, share)
-        beyond = gap[~is_between[gap] & _is_far(scans, path, gap)]
+        beyond = gap[~is_between[gap] & _is_far(scans.odometry, stamps_s, path, gap)]
         poses[beyond] = np.nan
     return poses, is_own
 
@@ -264,9 +267,7 @@ def no_common_time(name: str, path: Trajectory, stamps_s: F64) -> TrajectoryErro
     )
 
 
-def _shares(
-    stamps_s: F64, before: npt.NDArray[np.int64], after: npt.NDArray[np.int64], at_s: F64
-) -> F64:
+def _shares(stamps_s: F64, before: I64, after: I64, at_s: F64) -> F64:
     """Return how far times are from one stamp to the next, 0 to 1; 0 where both are one."""
     wide_s = stamps_s[after] - stamps_s[before]
     passed = (at_s - stamps_s[before]) / np.where(wide_s > 0.0, wide_s, 1.0)
@@ -278,30 +279,19 @@ def _carried(poses: F64, odometry_there: F64, odometry_here: F64) -> F64:
     return compose_poses(poses, compose_poses(invert_poses(odometry_there), odometry_here))
 
 
-def _odometry_at(scans: JudgedScans, stamps_s: F64) -> F64:
-    """Return the odometry of a drive at any times, (M, 3); beyond its ends, that of the end."""
-    known = scans.odometry
-    assert known is not None  # noqa: S101 - asked for with odometry only
-    after = np.clip(np.searchsorted(scans.stamps_s, stamps_s), 1, len(scans) - 1)
-    share = _shares(scans.stamps_s, after - 1, after, stamps_s)
-    return blend_poses(known[after - 1], known[after], share)
-
-
-def _is_far(scans: JudgedScans, path: Trajectory, at: npt.NDArray[np.int64]) -> B8:
+def _is_far(odometry: F64, stamps_s: F64, path: Trajectory, at: I64) -> B8:
     """Whether scans lie farther beyond the ends of a path than odometry may extend it."""
-    known = scans.odometry
-    assert known is not None  # noqa: S101 - asked for with odometry only
-    travelled_m = travelled(known)
-    turned_rad = np.concatenate(([0.0], np.cumsum(np.abs(wrap_angles(np.diff(known[:, 2]))))))
+    travelled_m = travelled(odometry)
+    turned_rad = np.concatenate(([0.0], np.cumsum(np.abs(wrap_angles(np.diff(odometry[:, 2]))))))
     far = np.zeros(len(at), dtype=np.bool_)
     for end_s, is_beyond in (
-        (path.stamps_s[0], scans.stamps_s[at] < path.stamps_s[0]),
-        (path.stamps_s[-1], scans.stamps_s[at] > path.stamps_s[-1]),
+        (path.stamps_s[0], stamps_s[at] < path.stamps_s[0]),
+        (path.stamps_s[-1], stamps_s[at] > path.stamps_s[-1]),
     ):
-        way_m = np.abs(travelled_m[at] - np.interp(end_s, scans.stamps_s, travelled_m))
-        turn_rad = np.abs(turned_rad[at] - np.interp(end_s, scans.stamps_s, turned_rad))
+        way_m = np.abs(travelled_m[at] - np.interp(end_s, stamps_s, travelled_m))
+        turn_rad = np.abs(turned_rad[at] - np.interp(end_s, stamps_s, turned_rad))
         # Where there are no scans nothing is known of the way.
-        off_s = max(scans.stamps_s[0] - end_s, end_s - scans.stamps_s[-1])
+        off_s = max(stamps_s[0] - end_s, end_s - stamps_s[-1])
         is_far = (way_m > BEYOND_M) | (turn_rad > BEYOND_RAD) | (off_s > BETWEEN_S)
         far |= is_beyond & is_far
     return far

@@ -68,13 +68,11 @@ class Displacement:
     Attributes:
         from_s, to_s: seconds since the first scan.
         away_m: how far away, metres.
-        p_value: one-sided, that the hits fit the other place no better than their own.
     """
 
     from_s: float
     to_s: float
     away_m: float
-    p_value: float
 
 
 class Contradiction(NamedTuple):
@@ -126,7 +124,7 @@ def find_displacements(
         here = np.flatnonzero(scans.chunks == chunk)
         end = min(int(here[-1]) + 1, len(scans) - 1)
         times_s = float(since_s[here[0]]), float(since_s[end])
-        displaced.append(Displacement(*times_s, float(away_m[chunk]), float(p_values[chunk])))
+        displaced.append(Displacement(*times_s, float(away_m[chunk])))
     return tuple(displaced)
 
 

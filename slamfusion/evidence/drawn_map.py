@@ -29,7 +29,7 @@ from slamfusion.config import FusionConfig
 from slamfusion.errors import TrajectoryError
 from slamfusion.evidence.beams import ScanHits, no_common_time
 from slamfusion.fusion.lattice_vote import warp_onto
-from slamfusion.geometry import F64, Pose2, moved_poses
+from slamfusion.geometry import Pose2, moved_poses
 from slamfusion.grid import FREE, IDENTITY, OCCUPIED, UNKNOWN, CellBox, OccupancyGrid, known_box
 from slamfusion.slam.common.beam_counts import BeamCounts, Beams
 from slamfusion.trajectory import Trajectory
@@ -40,6 +40,7 @@ from slamfusion.vote.tiles import GridLayer, TileVoter
 I8 = npt.NDArray[np.int8]
 B8 = npt.NDArray[np.bool_]
 I32 = npt.NDArray[np.int32]
+I64 = npt.NDArray[np.int64]
 U32 = npt.NDArray[np.uint32]
 Row = tuple[float, ...]
 
@@ -97,7 +98,15 @@ class MapDrawer:
     def draw(self, scans: Sequence[ScanHits], path: Trajectory, name: str) -> OccupancyGrid:
         """Return the map of the scans that have a pose in the path."""
         resolution, origin = self.lattice.resolution, self.lattice.origin
-        placed, poses = _with_poses(scans, path, origin)
+        if not len(scans) or not len(path):
+            message = f"{path.name}: {len(scans)} scans and {len(path)} poses; a map needs both"
+            raise TrajectoryError(message)
+        stamps_s = np.array([scan.stamp_s for scan in scans])
+        near, meets = path.matches(stamps_s)
+        if not meets.any():
+            raise no_common_time(path.name, path, stamps_s)
+        placed = [scans[index] for index in np.flatnonzero(meets).tolist()]
+        poses = moved_poses(origin.inverse(), path.poses[near[meets]])
         wanted = dict(zip((scan.stamp_s for scan in placed), map(tuple, poses), strict=True))
         moved = [own for own in self._laid.values() if wanted.get(own.scan.stamp_s) != own.pose]
         if 2 * len(moved) > len(self._laid):
@@ -164,27 +173,12 @@ class _LaidScan(NamedTuple):
     is_hit: B8
 
 
-def _with_poses(
-    scans: Sequence[ScanHits], path: Trajectory, origin: Pose2
-) -> tuple[list[ScanHits], F64]:
-    """Return the scans that have a pose, and these poses on the lattice, (N, 3)."""
-    stamps_s = np.array([scan.stamp_s for scan in scans])
-    if not len(scans) or not len(path):
-        message = f"{path.name}: {len(scans)} scans and {len(path)} poses; a map needs both"
-        raise TrajectoryError(message)
-    near, meets = path.matches(stamps_s)
-    if not meets.any():
-        raise no_common_time(path.name, path, stamps_s)
-    poses = moved_poses(origin.inverse(), path.poses[near[meets]])
-    return [scans[index] for index in np.flatnonzero(meets).tolist()], poses
-
-
-def _is_wall(hits: U32, visits: U32) -> npt.NDArray[np.bool_]:
+def _is_wall(hits: U32, visits: U32) -> B8:
     """Return which cells are walls, (H, W) bool."""
     return np.asarray((hits >= LEAST_HITS) & (hits > WALL_SHARE * visits))
 
 
-def _without_specks(cells: npt.NDArray[np.int8], least_cells: float) -> npt.NDArray[np.int8]:
+def _without_specks(cells: I8, least_cells: float) -> I8:
     """Return (H, W) cells without small patches of known ones that touch no others."""
     of, count = scipy.ndimage.label(cells != UNKNOWN, np.ones((3, 3)))
     sizes = np.bincount(of.ravel(), minlength=count + 1)
@@ -194,11 +188,7 @@ def _without_specks(cells: npt.NDArray[np.int8], least_cells: float) -> npt.NDAr
 
 
 def _cut_off(
-    beams: Beams,
-    walls: npt.NDArray[np.bool_],
-    corner: npt.NDArray[np.int64],
-    device: ComputeDevice,
-    resolution: float,
+    beams: Beams, walls: B8, corner: I64, device: ComputeDevice, resolution: float
 ) -> Beams:
     """Return the beams stopped at walls; those that stop there hit nothing."""
     starts = beams.lasers[beams.scans]
@@ -276,9 +266,11 @@ def fuse_with_drawn(
     agreement = _agreement(fused, [own, *aligned.values()])
     records = tuple(
         replace(
-            record, layer=GridLayer.of(aligned[record.name], _dissent(fused, aligned[record.name]))
+            record,
+            # Where it knows a cell that the fused map knows otherwise.
+            layer=GridLayer.of(laid, (laid >= 0) & (fused >= 0) & (laid != fused)),
         )
-        if record.name in aligned
+        if (laid := aligned.get(record.name)) is not None
         else record
         for record in result.inputs
     )
@@ -303,8 +295,3 @@ def _agreement(fused: I8, maps: list[I8]) -> I8:
         same += (cells >= 0) & (cells == fused)
     percent = np.floor(100.0 * same / np.maximum(known, 1) + 0.5).astype(np.int8)
     return np.where(fused >= 0, percent, np.int8(-1))
-
-
-def _dissent(fused: I8, cells: I8) -> B8:
-    """Return where a map knows a cell that the fused one knows otherwise, (H, W) bool."""
-    return np.asarray((cells >= 0) & (fused >= 0) & (cells != fused))

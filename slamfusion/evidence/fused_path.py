@@ -23,7 +23,7 @@ constraints for robust pose graph SLAM, IROS 2012 (what is robust is the single 
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -31,7 +31,6 @@ import scipy
 
 from slamfusion.evidence.path_frames import (
     FROM_MEDIAN,
-    consensus_poses,
     find_modes,
     geman_mcclure,
     lay_paths,
@@ -81,8 +80,7 @@ def trust_in_paths(evidence: PathEvidence) -> dict[str, float]:
     return {name: float(np.exp((value - best) / TRUST_SCALE)) for name, value in told.items()}
 
 
-@dataclass(frozen=True, eq=False)
-class _Motions:
+class _Motions(NamedTuple):
     """Motions between scans by one or several paths.
 
     Attributes:
@@ -90,7 +88,6 @@ class _Motions:
         motions: (M, 3), pose at the end in the frame of the start.
         deviations: (M, 2), metres and radians.
         trust: (M,) prior weight, 0 to 1.
-        is_settled: (M,) bool, whether the weight does not depend on the graph.
     """
 
     starts: I64
@@ -98,7 +95,6 @@ class _Motions:
     motions: F64
     deviations: F64
     trust: F64
-    is_settled: npt.NDArray[np.bool_]
 
 
 def fuse_paths(
@@ -128,7 +124,7 @@ def fuse_paths(
     over_long = _counted_once(
         trusted, [row for row, own in enumerate(paths) if own in sharing_fault]
     )
-    poses = consensus_poses(laid, over_long)
+    poses = find_modes(laid, over_long)
     if len(paths) > 1 and len(stamps_s) > 1:
         poses = _optimized(laid, trusted, over_long, poses)
     return Trajectory(stamps_s, poses, name)
@@ -175,7 +171,9 @@ def _robust_weights(poses: F64, measured: _Motions) -> F64:
     # Both coordinates of a place share one deviation, so their mean square counts.
     squares = 0.5 * (left[:, :2] ** 2).sum(axis=1) / measured.deviations[:, 0] ** 2
     squares += left[:, 2] ** 2 / measured.deviations[:, 1] ** 2
-    return np.where(measured.is_settled, 1.0, geman_mcclure(np.sqrt(squares / HALF_WAY)))
+    # The weight of a step does not depend on the graph.
+    is_step = measured.ends - measured.starts == 1
+    return np.where(is_step, 1.0, geman_mcclure(np.sqrt(squares / HALF_WAY)))
 
 
 def _all_motions(laid: F64, weights: F64, over_long: F64, poses: F64) -> _Motions:
@@ -188,12 +186,7 @@ def _all_motions(laid: F64, weights: F64, over_long: F64, poses: F64) -> _Motion
     ]
     groups.append(_between(laid, over_long, *visits(poses)))
     groups.append(_in_frame(laid, over_long, poses))
-    return _Motions(
-        *(
-            np.concatenate([getattr(group, field) for group in groups])
-            for field in ("starts", "ends", "motions", "deviations", "trust", "is_settled")
-        )
-    )
+    return _Motions(*map(np.concatenate, zip(*groups, strict=True)))
 
 
 def _span(count: int, span: int) -> tuple[I64, I64]:
@@ -224,9 +217,8 @@ def _between(laid: F64, weights: F64, starts: I64, ends: I64) -> _Motions:
     if is_step.any():
         trust = np.where(is_step, _agreement(told, trust, float(deviation[0])), trust)
     at = np.broadcast_to(np.arange(len(starts)), has.shape)[has]
-    return _Motions(
-        starts[at], ends[at], told[has], np.tile(deviation, (len(at), 1)), trust[has], is_step[at]
-    )
+    deviations = np.tile(deviation, (len(at), 1))
+    return _Motions(starts[at], ends[at], told[has], deviations, trust[has])
 
 
 def _agreement(told: F64, trust: F64, scale_m: float) -> F64:
@@ -266,21 +258,9 @@ def _in_frame(laid: F64, weights: F64, poses: F64) -> _Motions:
     # A scan of a single path has no other tie.
     tied = (np.arange(count) % stride == 0) | (has.sum(axis=0) < len(laid))
     tied[[0, -1]] = True
-    starts, motions, deviations, trust, ends = [], [], [], [], []
-    for path, own, weight in zip(laid, has, weights, strict=True):
-        scans = np.flatnonzero(own & tied)
-        apart = np.hypot(*(path[own, :2] - poses[own, :2]).T)
-        place_m = max(FROM_MEDIAN * float(np.median(apart)), LEAST_PLACE_M)
-        starts.append(np.full(len(scans), count, dtype=np.int64))
-        ends.append(scans)
-        motions.append(path[scans])
-        deviations.append(np.tile((place_m, 0.5 * place_m), (len(scans), 1)))
-        trust.append(weight[scans])
-    return _Motions(
-        np.concatenate(starts),
-        np.concatenate(ends),
-        np.concatenate(motions),
-        np.concatenate(deviations),
-        np.concatenate(trust),
-        np.zeros(sum(map(len, trust)), dtype=np.bool_),
-    )
+    apart_m = np.hypot(laid[..., 0] - poses[:, 0], laid[..., 1] - poses[:, 1])
+    place_m = np.maximum(FROM_MEDIAN * np.nanmedian(apart_m, axis=1), LEAST_PLACE_M)
+    here = has & tied
+    path, ends = np.nonzero(here)
+    deviations = np.stack((place_m, 0.5 * place_m), axis=1)[path]
+    return _Motions(np.full_like(ends, count), ends, laid[here], deviations, weights[here])

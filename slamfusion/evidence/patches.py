@@ -11,7 +11,6 @@ Vision Computing 10(3), 1992 (distances from surfaces, and not from points); Gem
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -272,17 +271,6 @@ class Walls(NamedTuple):
     normals: F64
     lines: F64
 
-    @classmethod
-    def of(cls, lattices: Sequence[Patches]) -> Walls:
-        """Take the walls of some lattices."""
-        keys = np.concatenate([MOVES * own.keys[own.is_wall] + own.number for own in lattices])
-        order = np.argsort(keys)
-        middles, normals, lines = (
-            np.concatenate([getattr(own, name)[own.is_wall] for own in lattices])[order]
-            for name in ("middles", "normals", "lines")
-        )
-        return cls(keys[order], middles, normals, lines)
-
 
 @dataclass(frozen=True, eq=False)
 class WallMap:
@@ -309,9 +297,15 @@ class WallMap:
             return None
         poses = given[kept]
         lattices = [Patches.at(hits, poses, number, by_kind=False) for number in range(MOVES)]
-        walls = Walls.of(lattices)
-        if not len(walls.keys):
+        keys = np.concatenate([MOVES * own.keys[own.is_wall] + own.number for own in lattices])
+        if not len(keys):
             return None
+        order = np.argsort(keys)
+        middles, normals, lines = (
+            np.concatenate([getattr(own, name)[own.is_wall] for own in lattices])[order]
+            for name in ("middles", "normals", "lines")
+        )
+        walls = Walls(keys[order], middles, normals, lines)
         far_m = np.concatenate([np.abs(own.away_m[own.weights > 0.0]) for own in lattices])
         usual_m = float(np.median(far_m)) if len(far_m) else 0.0
         return cls((walls,), max(FROM_MEDIAN * usual_m, LEAST_SPREAD_M), covariance)

@@ -159,12 +159,9 @@ LEAST_BELIEF = 1e-6
 ROUNDS = 10
 
 
-def consensus_poses(poses: F64, weights: F64) -> F64:
-    """Return (N, 3) the pose at each scan with most of the weight nearby; see ``lay_paths``."""
-    return find_modes(poses, weights, LEAST_SCALE_M, MOST_SCALE_M)
-
-
-def find_modes(poses: F64, weights: F64, least_m: float, most_m: float) -> F64:
+def find_modes(
+    poses: F64, weights: F64, least_m: float = LEAST_SCALE_M, most_m: float = MOST_SCALE_M
+) -> F64:
     """Return for each of N questions the answer that most of the weight of K answers lies near.
 
     Mean shift to a mode of the weighted density, from the answer closest to the weight of the

@@ -165,7 +165,8 @@ class Recommendation:
         if self.confidence == "low":
             return f"Do not trust {what}: the scans contradict it"
         if self.confidence == "medium":
-            return f"Use {what}, but check {_places(len(self.check))} first"
+            places = "1 place" if len(self.check) == 1 else f"{len(self.check)} places"
+            return f"Use {what}, but check {places} first"
         if self.confidence == "high":
             return f"Use {what}: no scan contradicts it"
         return f"Use {what}; the scans could not confirm it"
@@ -311,19 +312,12 @@ def _place(
     evidence: PathEvidence, path: str, frame: Trajectory | None, at_s: float
 ) -> tuple[float, float]:
     """Return where the robot was at a time, seconds since the first scan."""
-    stamps_s, poses = evidence.scans.stamps_s, evidence.scores[path].poses
-    judged = np.flatnonzero(evidence.is_judged)
-    if frame is not None:
-        stamps, poses, judged = frame.stamps_s, frame.poses, np.arange(len(frame))
-    else:
-        stamps = stamps_s
-    (nearest,) = nearest_stamps(stamps[judged], np.array([stamps_s[0] + at_s]))
-    x, y, _ = poses[judged[nearest]]
+    judged, stamps_s = evidence.is_judged, evidence.scans.stamps_s
+    if frame is None:
+        frame = Trajectory(stamps_s[judged], evidence.scores[path].poses[judged], path)
+    (nearest,) = nearest_stamps(frame.stamps_s, np.array([stamps_s[0] + at_s]))
+    x, y, _ = frame.poses[nearest]
     return float(x), float(y)
-
-
-def _places(count: int) -> str:
-    return "1 place" if count == 1 else f"{count} places"
 
 
 # --- the reasons ---------------------------------------------------------------------------------

@@ -237,26 +237,19 @@ def _from_odometry(
     evidence: PathEvidence, path: Trajectory, device: ComputeDevice
 ) -> tuple[Trajectory, PathEvidence] | None:
     """Lay the scans on each other along the odometry; None where they contradict it."""
-    wheels = _odometry_at(evidence.scans, path)
-    if wheels is None:
+    scans = evidence.scans
+    given, is_own = cover_stamps(path, scans)
+    kept = np.flatnonzero(is_own)
+    if scans.odometry is None or len(kept) < 2:
         return None
+    poses = laid_onto(scans.odometry[kept], given[kept])
+    wheels = carried_along(path, scans.stamps_s[kept], given[kept], poses)
     told = _consistency(with_path(evidence, _REFINED, wheels, device), _REFINED)
     if told < _consistency(evidence, path.name) - NEAR:
         return None
     refined, both = _settled(evidence, wheels, told, device)
     poses = laid_onto(refined.poses, path.poses)
     return Trajectory(path.stamps_s, poses, path.name), both
-
-
-def _odometry_at(scans: JudgedScans, path: Trajectory) -> Trajectory | None:
-    """Return the odometry of a drive as a path at the stamps of another one; None without."""
-    given, is_own = cover_stamps(path, scans)
-    kept = np.flatnonzero(is_own)
-    if scans.odometry is None or len(kept) < 2:
-        return None
-    before = given[kept]
-    poses = laid_onto(scans.odometry[kept], before)
-    return carried_along(path, scans.stamps_s[kept], before, poses)
 
 
 def _settled(

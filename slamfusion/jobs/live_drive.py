@@ -270,12 +270,17 @@ class LiveDrive:
         if scan is None or found is None or not found.fits:
             return ScanMatch(expected, covariance + grown.covariance, fits=False)
         covariance = found.covariance + grown.covariance
+        added: list[tuple[ScanHits, F64]] = []
         with self._lock:
-            is_last = self._corrections.get(name) is last
-            if is_last:
+            if self._corrections.get(name) is last:
                 self._corrections[name] = found.pose.compose(pose.inverse()), found.covariance
-            added = self._added_scans(scan, row_of(found.pose)) if is_last else []
-        if added:  # no solution has seen a new room yet
+                own = self._located
+                if not own or scan.stamp_s > own[-1][0].stamp_s:
+                    own.append((scan, row_of(found.pose)))
+                    del own[: -2 * LEAST_SCANS]
+                    self._added += 1
+                    added = [] if self._added % ADDED_SCANS else own[-LEAST_SCANS:]
+        if len(added) >= CHUNKS:  # no solution has seen a new room yet
             scans = judged_hits([one for one, _ in added])
             path = Trajectory(scans.stamps_s, np.array([row for _, row in added]), FUSED)
             seen = WallMap.of(scans, path, covariance)
@@ -283,18 +288,6 @@ class LiveDrive:
                 if seen is not None and self._walls is solved:
                     self._grown = solved.joined(seen)
         return replace(found, covariance=covariance)
-
-    def _added_scans(self, scan: ScanHits, pose: F64) -> list[tuple[ScanHits, F64]]:
-        """Take a located scan; return the last ones where the walls are to grow by them."""
-        own = self._located
-        if own and scan.stamp_s <= own[-1][0].stamp_s:
-            return []
-        own.append((scan, pose))
-        del own[: -2 * LEAST_SCANS]
-        self._added += 1
-        if self._added % ADDED_SCANS or len(own) < CHUNKS:
-            return []
-        return own[-LEAST_SCANS:]
 
     def _thin_out(self) -> None:
         """Drop every second scan before the window, and the poses that belong to none."""
@@ -342,18 +335,19 @@ class LiveDrive:
             return None
         scans = judged_hits(kept, beams.MOST_HITS if depth == "final" else MOST_HITS)
         paths = self._at_scans(scans, poses)
-        is_whole = depth != "window" or self._path is None
+        last = None if depth != "window" else self._path
         try:
             found = (
-                _solved(scans, paths, self._device) if is_whole else self._continued(kept, paths)
+                _solved(scans, paths, self._device)
+                if last is None
+                else self._continued(last, kept, paths)
             )
             if found is None:
                 return None
             fused, evidence = found
-            self._place(fused, paths, lattice, transforms or {}, is_whole=is_whole)
-            path = self._path
-            assert path is not None  # noqa: S101  (just placed)
-            if evidence is None or not is_whole:
+            is_whole = last is None
+            path = self._place(fused, paths, lattice, transforms or {}, is_whole=is_whole)
+            if evidence is None or last is not None:
                 evidence = score_paths(scans, {**paths, FUSED: path}, self._device)
         except SlamFusionError:
             return None  # the paths have no scan in common yet
@@ -380,12 +374,11 @@ class LiveDrive:
         )
 
     def _continued(
-        self, kept: Sequence[ScanHits], paths: Mapping[str, Trajectory]
+        self, path: Trajectory, kept: Sequence[ScanHits], paths: Mapping[str, Trajectory]
     ) -> tuple[Trajectory, PathEvidence | None] | None:
         """Solve the last seconds, and what was not solved yet, by the inputs that are right."""
-        assert self._path is not None  # noqa: S101  (there is what is continued)
         stamps_s = [one.stamp_s for one in kept[-LEAST_SCANS:]]
-        solved_s = float(self._path.stamps_s[-1])
+        solved_s = float(path.stamps_s[-1])
         first_s = min(stamps_s[0], stamps_s[-1] - WINDOW_S, solved_s - 0.5 * WINDOW_S)
         hits = [one for one in kept if one.stamp_s >= first_s]
         last = {name: _part(own, first_s - SAME_STAMP_S, np.inf) for name, own in paths.items()}
@@ -423,7 +416,7 @@ class LiveDrive:
         transforms: Mapping[str, Pose2],
         *,
         is_whole: bool,
-    ) -> None:
+    ) -> Trajectory:
         """Carry a path that was found into the fused frame, and put it in place of the last one."""
         before = self._path
         if lattice is not None and lattice != self._lattice:
@@ -435,21 +428,17 @@ class LiveDrive:
                 else:
                     found = moved_onto(found, voters)
         newest_s = float(found.stamps_s[-1])
-        cut_s = -np.inf
-        if before is not None:
-            still = before
-            if not is_whole:
-                until_s = min(float(before.stamps_s[-1]), newest_s - 0.5 * WINDOW_S)
-                cut_s = max(self._whole_until_s, until_s)
-                still = _part(before, -np.inf, cut_s)
-            found = moved_onto(found, [still])
-            if not is_whole:
-                first, rest = _part(before, -np.inf, cut_s), _part(found, cut_s, np.inf)
-                stamps_s = np.concatenate((first.stamps_s, rest.stamps_s))
-                found = Trajectory(stamps_s, np.concatenate((first.poses, rest.poses)), FUSED)
-        if is_whole:
+        if is_whole or before is None:
             self._whole_until_s = newest_s
-        self._path = found
+            self._path = found if before is None else moved_onto(found, [before])
+        else:
+            until_s = min(float(before.stamps_s[-1]), newest_s - 0.5 * WINDOW_S)
+            cut_s = max(self._whole_until_s, until_s)
+            first = _part(before, -np.inf, cut_s)
+            rest = _part(moved_onto(found, [first]), cut_s, np.inf)
+            stamps_s = np.concatenate((first.stamps_s, rest.stamps_s))
+            self._path = Trajectory(stamps_s, np.concatenate((first.poses, rest.poses)), FUSED)
+        return self._path
 
 
 def _solved(

@@ -28,7 +28,7 @@ from slamfusion.evaluation.measured import GroundTruth, measure_trajectory
 from slamfusion.evidence.beams import judged_scans, scan_hits
 from slamfusion.evidence.drawn_map import draw_map
 from slamfusion.evidence.fused_path import fuse_paths, trust_in_paths
-from slamfusion.evidence.path_frames import consensus_poses, lay_paths
+from slamfusion.evidence.path_frames import find_modes, lay_paths
 from slamfusion.evidence.predictive import score_paths
 from slamfusion.evidence.refined_path import refine_borne_out
 from slamfusion.io import LogScan, open_log, read_trajectory
@@ -67,7 +67,7 @@ def candidates(
     refined, _, _ = refine_borne_out(evidence, fused, device)
     found = {
         **paths,
-        CONSENSUS: Trajectory(stamps_s, consensus_poses(laid, weights), CONSENSUS),
+        CONSENSUS: Trajectory(stamps_s, find_modes(laid, weights), CONSENSUS),
         FUSED: fused,
         REFINED: refined,
     }

@@ -7,7 +7,7 @@ import pytest
 
 from slamfusion.errors import TrajectoryError
 from slamfusion.evidence.fused_path import fuse_paths
-from slamfusion.evidence.path_frames import consensus_poses, fit_frame, lay_paths
+from slamfusion.evidence.path_frames import find_modes, fit_frame, lay_paths
 from slamfusion.geometry import Pose2, compose_poses, fit_motion, invert_poses, wrap_angles
 from slamfusion.trajectory import Trajectory
 
@@ -120,12 +120,12 @@ def test_a_path_that_lies_elsewhere_has_no_say() -> None:
     far = truth + np.array((5.0, 0.0, 0.0))
     broken = broken_away(truth, 120, (0, 0, 1.0))
     _, laid, weights = lay_paths({"a": path(truth), "b": path(broken)})
-    assert np.abs(consensus_poses(laid, weights)[120:] - laid[0, 120:]).max() < 1e-6
+    assert np.abs(find_modes(laid, weights)[120:] - laid[0, 120:]).max() < 1e-6
     _, laid, weights = lay_paths(
         {"a": path(truth), "b": path(truth + np.array((0.02, 0.0, 0.0))), "c": path(truth)}
     )
     laid[2] = far
-    assert np.abs(consensus_poses(laid, weights)[:, :2] - truth[:, :2]).max() < 0.03
+    assert np.abs(find_modes(laid, weights)[:, :2] - truth[:, :2]).max() < 0.03
 
 
 # --- the fused path ---------------------------------------------------------------------------
@@ -172,7 +172,7 @@ def test_there_is_no_jump_where_another_path_takes_over() -> None:
     assert apart.max() < 0.05
     # The consensus of each scan on its own does jump.
     _, laid, weights = lay_paths({str(index): path(own) for index, own in enumerate(inputs)})
-    jumpy = consensus_poses(laid, weights)
+    jumpy = find_modes(laid, weights)
     told = compose_poses(invert_poses(jumpy[:-1]), jumpy[1:])
     assert np.hypot(*(told - true)[:, :2].T).max() > 0.3
 
