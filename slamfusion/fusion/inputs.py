@@ -108,13 +108,14 @@ def find_copies(grids: Sequence[OccupancyGrid], preferred: Collection[str] = ())
     for index, grid in enumerate(grids):
         if grid.name in copies:
             continue
-        alike = [grid, *(other for other in grids[index + 1 :] if _is_same(grid, other))]
+        alike = [grid, *(other for other in grids[index + 1 :] if is_same(grid, other))]
         voter = next((same for same in alike if same.name in preferred), grid)
         copies |= {same.name: voter.name for same in alike if same is not voter}
     return {grid.name: copies[grid.name] for grid in grids if grid.name in copies}
 
 
-def _is_same(a: OccupancyGrid, b: OccupancyGrid) -> bool:
+def is_same(a: OccupancyGrid, b: OccupancyGrid) -> bool:
+    """Whether two maps are equal in all but their names."""
     is_alike = (a.resolution, a.origin, a.cells.shape) == (b.resolution, b.origin, b.cells.shape)
     return is_alike and all(
         np.array_equal(a.cells[rows], b.cells[rows]) for rows in row_parts(a.cells.shape)

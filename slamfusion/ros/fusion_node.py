@@ -535,7 +535,7 @@ class FusionNode(NodeBase):
             "overlap": record.fit.overlap,
             "tracked": record.fit.is_tracked,
             "walls that agree": record.wall_agreement,
-            "age [s]": record.age_s + time.monotonic() - snapshot.noted_s,
+            "age [s]": time.monotonic() - record.messages.received_s,
             "rate [Hz]": record.messages.rate_hz,
             "maps": record.messages.maps,
             "maps refused": record.messages.rejected,

@@ -239,7 +239,7 @@ class Robot:
         depth = self.pace.due(now_s, number)
         if depth is None:
             return
-        spent_s, solution = self._solve(depth, now_s)
+        spent_s, solution = self._solve(depth)
         self.pace.done(depth, now_s, now_s + spent_s)
         self._waits = now_s + spent_s, solution
 
@@ -249,10 +249,10 @@ class Robot:
             now_s = max(now_s + STILL_S, 0.0 if self._waits is None else self._waits[0])
             self.turn(now_s, number)
 
-    def _solve(self, depth: Depth, now_s: float) -> tuple[float, DriveSolution | None]:
+    def _solve(self, depth: Depth) -> tuple[float, DriveSolution | None]:
         placed = {
             record.name: record.transform
-            for record in self.fusion.inputs(now_s)
+            for record in self.fusion.inputs()
             if record.accepted and record.transform is not None
         }
         began_s = time.process_time()

@@ -116,16 +116,18 @@ class Aligner:
     def follow(self, track: Input, held: AnchorMap) -> bool:
         """Track an input from its last transform and accept it where it still fits."""
         fit = self.fit(track, held)
-        if fit is not None and not track.stands:
-            found = self._found.get(frozenset((track.name, held.name)))
-            if found is None or fit[0].score < MIRROR_SHARE * found.score:
-                fit = self._unmirrored(track, held, fit)
-        if fit is not None:
-            names = frozenset((track.name, held.name))
-            if (found := self._found.get(names)) is not None:
-                self._found[names] = found._replace(score=min(found.score, fit[0].score))
-            self.accept(track, fit[1], fit[0], is_tracked=True)
-        return fit is not None
+        if fit is None:
+            return False
+        pair, moved = fit
+        names = frozenset((track.name, held.name))
+        found = self._found.get(names)
+        may_be_mirrored = found is None or pair.score < MIRROR_SHARE * found.score
+        if may_be_mirrored and not track.stands and self._is_mirrored(track, held, pair):
+            return False
+        if found is not None:
+            self._found[names] = found._replace(score=min(found.score, pair.score))
+        self.accept(track, moved, pair, is_tracked=True)
+        return True
 
     def fit(self, track: Input, held: AnchorMap) -> tuple[Alignment, Pose2] | None:
         """Track an input from its last transform; None (and ``fit.mismatch``) if it fails."""
@@ -259,21 +261,16 @@ class Aligner:
             return self.starts.between(held.name, track.name)
         return held.transform.inverse().compose(track.transform)
 
-    def _unmirrored(
-        self, track: Input, held: AnchorMap, fit: tuple[Alignment, Pose2]
-    ) -> tuple[Alignment, Pose2] | None:
-        """Return the fit of new walls, which fit much worse than the old ones; None: mirrored."""
-        pair, reference = fit[0], held.features
-        if pair.evidence is not None and pair.evidence.share >= SAME_TIME_SHARE:
-            return fit
-        maps = Pair(reference, self.features(track))
+    def _is_mirrored(self, track: Input, held: AnchorMap, pair: Alignment) -> bool:
+        """Whether new walls, which fit much worse than the old ones, are mirrored."""
+        if explained(pair) >= SAME_TIME_SHARE:
+            return False
+        maps = Pair(held.features, self.features(track))
         motion = maps.motion_of(pair.transform)
-        gain = mirror_gain(maps, motion, self.layers.config.align)
-        refused = decide_mirrored(gain)
-        if refused is None:
-            return fit
-        track.fit = replace(track.fit, mismatch=_not_aligned(held, refused.reason))
-        return None
+        refused = decide_mirrored(mirror_gain(maps, motion, self.layers.config.align))
+        if refused is not None:
+            track.fit = replace(track.fit, mismatch=_not_aligned(held, refused.reason))
+        return refused is not None
 
 
 def _not_aligned(held: AnchorMap, why: str) -> str:

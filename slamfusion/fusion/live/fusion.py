@@ -43,7 +43,6 @@ class LiveInput:
     Attributes:
         name: as given to ``put``.
         messages: those that came; their ``grid`` is no result.
-        age_s: time since the last of them; infinite before the first.
         reason: why it is in that state, one line.
         transform: its map frame into the fused frame, metres; the last that was accepted.
         fit: its last alignment; score and overlap are 1 for the reference.
@@ -53,7 +52,6 @@ class LiveInput:
 
     name: str
     messages: InputMessage
-    age_s: float
     state: State
     reason: str
     transform: Pose2 | None
@@ -231,7 +229,7 @@ class LiveFusion(Mailbox):
         return LiveUpdate(
             fused,
             agreement,
-            self.inputs(now_s),
+            self.inputs(),
             {step: end - begin for step, begin, end in steps},
             self._aligner.has_searched,
             self._supervisor.reference,
@@ -357,7 +355,7 @@ class LiveFusion(Mailbox):
         inputs = tuple((t.name, t.state, t.why) for t in self._inputs.values())
         return (self._supervisor.reference, self._layers.names, inputs)
 
-    def inputs(self, now_s: float) -> tuple[LiveInput, ...]:
+    def inputs(self) -> tuple[LiveInput, ...]:
         """Return the inputs as they stand; from the thread of updates."""
         out = []
         counts = self.counts()
@@ -375,7 +373,6 @@ class LiveFusion(Mailbox):
                 LiveInput(
                     name,
                     came,
-                    now_s - came.received_s,
                     track.state,
                     reason,
                     track.transform,

@@ -17,6 +17,7 @@ from slamfusion.align.features import GridFeatures
 from slamfusion.align.normalize import normalize_grid
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import NormalizeConfig
+from slamfusion.fusion.inputs import is_same
 from slamfusion.fusion.live.layers import Change, Layer, compare, lay_out
 from slamfusion.geometry import Pose2, wrap_angle
 from slamfusion.grid import OccupancyGrid
@@ -278,7 +279,7 @@ class Input:
         if self.jump is not None:
             self.jump = replace(self.jump, messages=self.jump.messages + 1)
         if resolution is None or before is None:
-            if last is not None and _is_same(last, grid):
+            if last is not None and is_same(last, grid):
                 return None
             self.version += 1
             self._features = None
@@ -345,10 +346,3 @@ class Input:
         )
         turn_rad = abs(wrap_angle(a.yaw_rad - b.yaw_rad))
         return away_m, turn_rad, float(np.hypot(corners[:, 0], corners[:, 1]).max())
-
-
-def _is_same(a: OccupancyGrid, b: OccupancyGrid) -> bool:
-    """Whether two maps are equal in all that counts."""
-    return (
-        a.origin == b.origin and a.resolution == b.resolution and np.array_equal(a.cells, b.cells)
-    )

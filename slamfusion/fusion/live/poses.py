@@ -94,7 +94,7 @@ class _Pair:
         self.newest_s = stamp_s
         away_m = math.dist((a.x, a.y), (b.x, b.y))
         turn_rad = abs(wrap_angle(a.yaw_rad - b.yaw_rad))
-        share = max(_share(away_m, APART_M), _share(turn_rad, APART_RAD))
+        share = max(away_m / APART_M, turn_rad / APART_RAD)
         if not self.is_linked:
             self._link(a, share)
             return
@@ -257,8 +257,3 @@ def _reason(name: str, apart: Mapping[tuple[str, str], _Pair]) -> str:
         if name in names
     }
     return f"its poses contradict those of {', '.join(mine)}: {next(iter(mine.values()))}"
-
-
-def _share(value: float, limit: float) -> float:
-    """Return how much of a limit a value is; a limit of 0 is exceeded by anything."""
-    return value / limit if limit > 0.0 else math.inf if value > 0.0 else 0.0

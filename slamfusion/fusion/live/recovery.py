@@ -144,8 +144,8 @@ class Anchor:
             return None, None
         last = hold_map(self._aligner.layers.last_fused(), LAST_FUSED, aligner)
         if last is None:
-            return None, _doubt(inputs, Reason.FEW_WALLS, other=LAST_FUSED)
-        _doubt(inputs, Reason.NO_FIT, other=LAST_FUSED)
+            return None, turn_all(inputs, Reason.FEW_WALLS, other=LAST_FUSED)
+        turn_all(inputs, Reason.NO_FIT, other=LAST_FUSED)
         for one in inputs:
             if not _is_in_vain(one, names):
                 one.tried = (one.version, names, WAITING)
@@ -170,7 +170,7 @@ class Anchor:
         if not group:
             return None, None
         others = [one for one in inputs if one not in group]
-        _doubt(others, Reason.NO_FIT, other=last.name)
+        turn_all(others, Reason.NO_FIT, other=last.name)
         return max(group, key=lambda one: one.walls), None
 
     def _fitting(self, inputs: Sequence[Input], held: AnchorMap) -> dict[str, Placed]:
@@ -199,7 +199,7 @@ class Anchor:
         any, the one whose place was looked for last. Where it is found both go on.
         """
         own = ", ".join(one.name for one in rivals)
-        problem = _doubt(inputs, Reason.DISPUTE, names=own)
+        problem = turn_all(inputs, Reason.DISPUTE, names=own)
         absent = [one for one in inputs if one not in rivals]
         wanted = absent or [max(rivals, key=lambda one: one.searched_s)]
 
@@ -254,7 +254,8 @@ def _share(placed: Placed) -> float:
     return explained(placed[1])
 
 
-def _doubt(inputs: Iterable[Input], reason: Reason, **words: object) -> str:
+def turn_all(inputs: Iterable[Input], reason: Reason, **words: object) -> str:
+    """Turn inputs for a reason; return its sentence."""
     for one in inputs:
         one.turn(reason, **words)
     return reason.says(**words)

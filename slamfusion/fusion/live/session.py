@@ -40,7 +40,6 @@ class FusionState:
     Attributes:
         inputs: by name, after the last update.
         reference: name of the input that others are aligned to.
-        noted_s: when the last update was, on the clock of the session.
         update: the last one; None before the first.
         votes: how often an input got or lost its vote, or came, or left with its vote.
         fused_stamp_s: stamp of the newest of them, seconds.
@@ -53,7 +52,6 @@ class FusionState:
 
     inputs: Mapping[str, LiveInput] = field(default_factory=dict)
     reference: str = ""
-    noted_s: float = 0.0
     update: LiveUpdate | None = None
     updates: int = 0
     searches: int = 0
@@ -128,7 +126,7 @@ class FusionSession:
         is_heard: Callable[[], bool] = lambda: True,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self.snapshot = FusionState(noted_s=clock())
+        self.snapshot = FusionState()
         self.rate_hz = rate_hz
         self.waiting: FusedMap | None = None
         self._live = live
@@ -267,7 +265,6 @@ class FusionSession:
             before,
             inputs=records,
             reference=update.reference,
-            noted_s=self._clock(),
             update=update,
             updates=before.updates + 1,
             searches=before.searches + update.is_full_search,

@@ -14,7 +14,7 @@ from slamfusion.fusion.live.align import Aligner
 from slamfusion.fusion.live.inputs import CHANGED_SHARE, RESTARTED_SHARE, Input, Reason
 from slamfusion.fusion.live.layers import Change
 from slamfusion.fusion.live.limits import too_large
-from slamfusion.fusion.live.recovery import Anchor
+from slamfusion.fusion.live.recovery import Anchor, turn_all
 from slamfusion.vote.lattice import Lattice
 
 NEVER = float("-inf")
@@ -83,7 +83,7 @@ class InputSupervisor:
         aligner = self._aligner
         usable, least = self._usable(), aligner.layers.live.minimum_inputs
         if len(usable) < least:
-            self._wait(usable, Reason.TOO_FEW, least=least, found=len(usable))
+            self.problem = turn_all(usable, Reason.TOO_FEW, least=least, found=len(usable))
             return
         versions = tuple((one.name, one.version) for one in usable)
         last_s, tried = self._tried
@@ -94,14 +94,9 @@ class InputSupervisor:
         try:
             group, lattice = self._first_group(usable, least)
         except SlamFusionError as error:
-            self._wait(usable, Reason.NO_START, why=error)
+            self.problem = turn_all(usable, Reason.NO_START, why=error)
         else:
             self._accept_first(group, lattice)
-
-    def _wait(self, inputs: Sequence[Input], reason: Reason, **words: object) -> None:
-        self.problem = reason.says(**words)
-        for one in inputs:
-            one.turn(reason, **words)
 
     def _usable(self) -> list[Input]:
         """Return the inputs that can be brought to one resolution; reject the others by name."""

@@ -143,16 +143,14 @@ class FusedLayers:
         self.names, self.has_young = now
         if not boxes:
             return None
-        parts = [self.vote(names, part, has_young=self.has_young) for part in joined(boxes)]
+        parts = [self.vote(names, part) for part in joined(boxes)]
         return moved(reduce(hull, parts), -self.box.row0, -self.box.col0)
 
     def _make_room(self, track: Input, reference: str) -> bool:
         """Grow the layers to hold an input's new cells; return whether they grew."""
         needed = self._needed(track, reference)
-        if needed is None:
-            return False
         try:
-            return self.grow(needed, track.name) is not None
+            return needed is not None and self.grow(needed, track.name)
         except MemoryBudgetError as error:
             track.turn(Reason.REJECTED, why=error)
             return False
@@ -195,19 +193,19 @@ class FusedLayers:
             changed = laid.changed
         return self.lay(track.name, layer, transform, changed)
 
-    def grow(self, box: CellBox, name: str) -> CellBox | None:
-        """Extend the layers to a box of the lattice; return all their cells if they grew.
+    def grow(self, box: CellBox, name: str) -> bool:
+        """Extend the layers to a box of the lattice; return whether they grew.
 
         Raises:
             MemoryBudgetError: the grown layers would not fit; nothing was changed.
         """
         if self.box is not None and hull(self.box, box) == self.box:
-            return None
+            return False
         grown = box if self.box is None else hull(self.box, box)
         room = grown.area * (CELL_BYTES + LAYER_BYTES * len(self._laid))
         check_memory(room, f"a fused map of {grown.height} x {grown.width} cells", name)
         self._resize(grown)
-        return grown
+        return True
 
     def _resize(self, box: CellBox) -> None:
         """Change the box; new cells are unknown."""
@@ -270,37 +268,33 @@ class FusedLayers:
             laid.covered = hull(before, now)
         if target is not None:
             cells = carry(layer, transform, self.fixed, target, self.device)
-            laid.cells[slices(target, box.row0, box.col0)] = self._classes(cells)
+            classes = np.asarray(cv2.LUT(cells.view(np.uint8), self._trinary)).view(np.int8)
+            laid.cells[slices(target, box.row0, box.col0)] = classes
         if touched is not None and self.config.vote.mode == "consensus":
-            self._show(laid, touched, box)
+
+            def read(part: CellBox) -> I8:
+                return np.ascontiguousarray(laid.cells[slices(part, box.row0, box.col0)])
+
+            size = self.fixed.resolution
+            near = grown_inside(touched, margin_cells(size), box)
+            laid.walls[slices(near, box.row0, box.col0)] = codes_on(near, box, size, read)
         return touched
-
-    def _show(self, laid: LaidInput, touched: CellBox, whole: CellBox) -> None:
-        """Update the wall codes around the cells that changed."""
-        size = self.fixed.resolution
-        box = grown_inside(touched, margin_cells(size), whole)
-
-        def read(part: CellBox) -> I8:
-            return np.ascontiguousarray(laid.cells[slices(part, whole.row0, whole.col0)])
-
-        laid.walls[slices(box, whole.row0, whole.col0)] = codes_on(box, whole, size, read)
 
     def lift(self, name: str) -> None:
         """Remove an input's layer."""
         if self._laid.pop(name, None) is not None:
             self._counted = None
 
-    def vote(self, names: Sequence[str], box: CellBox, *, has_young: bool = False) -> CellBox:
+    def vote(self, names: Sequence[str], box: CellBox) -> CellBox:
         """Vote again on a box of the lattice inside ``box``; return the cells that were voted on.
 
-        These are all cells if the trust in the inputs has changed. With ``has_young`` unknown
-        abstains by the rule ``auto``.
+        These are all cells if the trust in the inputs has changed.
         """
         whole = self.box
         if whole is None:
             raise ValueError("grow the layers before their cells are voted on")
         config = self.config.vote
-        if has_young and config.unknown == "auto":
+        if self.has_young and config.unknown == "auto":
             config = replace(config, unknown="abstain")
         voter = TileVoter(whole, config, self.fixed.resolution, tuple(names))
         counts = None
@@ -316,7 +310,12 @@ class FusedLayers:
             box = voter.aligned(grown_inside(box, reach, whole)) if is_same else whole
             counts = all_counts.part(voter.blocks(voter.around(box), whole))
         self._trust = voter.trust
-        decided = voter.decide(box, self._shown(voter, box), self.device, counts)
+        window = slices(voter.around(box), whole.row0, whole.col0)
+        laid = {name: self._laid[name] for name in names}
+        shown = {
+            name: (own.walls if voter.weighs else own.cells)[window] for name, own in laid.items()
+        }
+        decided = voter.decide(box, shown, self.device, counts)
         if decided is None:
             return box
         window = slices(box, whole.row0, whole.col0)
@@ -341,18 +340,6 @@ class FusedLayers:
                 table[:] = new
         self._counted = key
         return self._counts
-
-    def _shown(self, voter: TileVoter, tile: CellBox) -> dict[str, npt.NDArray[Any]]:
-        """Return the voters' codes or cells around a tile."""
-        whole = self.box or tile
-        window = slices(voter.around(tile), whole.row0, whole.col0)
-        laid = {name: self._laid[name] for name in voter.names}
-        return {
-            name: (own.walls if voter.weighs else own.cells)[window] for name, own in laid.items()
-        }
-
-    def _classes(self, cells: I8) -> I8:
-        return np.asarray(cv2.LUT(cells.view(np.uint8), self._trinary)).view(np.int8)
 
     def last_fused(self) -> OccupancyGrid | None:
         """Return the last fused map; None before the first."""

@@ -110,11 +110,11 @@ class Drive:
         return update
 
     def input(self, name: str) -> LiveInput:
-        return {record.name: record for record in self.live.inputs(self.now_s)}[name]
+        return {record.name: record for record in self.live.inputs()}[name]
 
     def accepted(self) -> str:
         """Return the names of the voters, joined."""
-        return "".join(r.name for r in self.live.inputs(self.now_s) if r.accepted)
+        return "".join(r.name for r in self.live.inputs() if r.accepted)
 
 
 def started(device: ComputeDevice, **live: Any) -> Drive:

@@ -278,7 +278,7 @@ def test_a_tracked_map_whose_walls_do_not_match_loses_its_vote_while_that_lasts(
 
 def tell(drive: Drive, stamp_s: float, **off_m: float) -> None:
     """Let inputs say where the robot is on its way along x, each off by some metres along y."""
-    for record in drive.live.inputs(drive.now_s):
+    for record in drive.live.inputs():
         if record.name in off_m and record.transform is not None:
             there = Pose2(0.3 * stamp_s, off_m[record.name], 0.0)
             drive.live.hear(record.name, stamp_s, record.transform.inverse().compose(there))

@@ -60,11 +60,11 @@ def test_maps_grow_and_no_wall_moves(
         first = first or fusion.fused
         assert_same_lattice(first, fusion.fused)
         assert share_standing(first, fusion.fused) > 0.95
-    for record in fusion.live.inputs(fusion.now_s):
+    for record in fusion.live.inputs():
         # The producers share the true frame of the drive, so that their transforms are known.
         assert record.transform is not None
         found = record.transform.compose(FRAMES[record.name])
-        reference = fusion.live.inputs(fusion.now_s)
+        reference = fusion.live.inputs()
         base = next(r for r in reference if r.fit.score == 1.0)
         assert base.transform is not None
         wanted = base.transform.compose(FRAMES[base.name])

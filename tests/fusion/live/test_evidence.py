@@ -29,7 +29,7 @@ def place_of(drive: Drive) -> tuple[Lattice, dict[str, Pose2]]:
     """Return the fused lattice and where the inputs lie in it."""
     lattice = drive.live.lattice
     assert lattice is not None
-    records = drive.live.inputs(drive.now_s)
+    records = drive.live.inputs()
     return lattice, {r.name: r.transform for r in records if r.transform is not None}
 
 

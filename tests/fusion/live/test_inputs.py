@@ -14,7 +14,7 @@ def test_an_input_goes_through_its_states_and_votes_in_one(device: ComputeDevice
     drive = started(device)
 
     def states() -> dict[str, State]:
-        records = drive.live.inputs(drive.now_s)
+        records = drive.live.inputs()
         assert all(one.accepted == (one.state is State.TRACKED) for one in records)
         return {one.name: one.state for one in records}
 

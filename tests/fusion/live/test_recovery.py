@@ -28,7 +28,7 @@ def bend_until(drive: Drive, is_done: Callable[[], bool]) -> LiveUpdate:
         update = drive.step(touched(three()["a"], aside, 0.002), bent(three()["b"], aside))
         if is_done():
             return update
-    raise AssertionError(drive.live.inputs(drive.now_s))
+    raise AssertionError(drive.live.inputs())
 
 
 def test_of_two_that_drew_the_last_map_the_one_goes_on_that_fits_what_a_majority_decided(

@@ -90,7 +90,6 @@ def test_maps_that_come_together_are_one_fused_map_with_one_agreement(
     assert (snapshot.fused_maps, snapshot.fused_stamp_s) == (1, 13.0)
     assert snapshot.transform("b") is not None
     assert snapshot.transform("z") is None
-    assert snapshot.noted_s == 100.0
 
 
 def test_a_map_waits_for_its_turn_and_the_newest_goes(device: ComputeDevice) -> None:
