@@ -93,24 +93,6 @@ class Measurements:
         yaw = poses[:, 2]
         return wrap_angles(yaw[self.end] - yaw[self.start] - self.motion[2])
 
-    def turned_information(self, cos: F64, sin: F64) -> F64:
-        """Return the information's upper triangles in the world's axes, (6, M).
-
-        ``cos`` and ``sin`` (M,) are of the yaws of the first poses.
-        """
-        c, s = cos * self.cos - sin * self.sin, sin * self.cos + cos * self.sin
-        i00, i01, i02, i11, i12, i22 = self.upper
-        return np.stack(
-            (
-                c * (c * i00 - s * i01) - s * (c * i01 - s * i11),
-                s * (c * i00 - s * i01) + c * (c * i01 - s * i11),
-                c * i02 - s * i12,
-                s * (s * i00 + c * i01) + c * (s * i01 + c * i11),
-                s * i02 + c * i12,
-                i22,
-            )
-        )
-
 
 Indices = npt.NDArray[np.int64]
 
@@ -187,7 +169,19 @@ class NormalEquations:
         error = (x - measured_x, y - measured_y, measured.turns(poses))
         if by_measured_ways:
             x, y = measured_x, measured_y
-        information = measured.turned_information(cos, sin)
+        # The upper triangles of the information in the world's axes.
+        c, s = cos * measured.cos - sin * measured.sin, sin * measured.cos + cos * measured.sin
+        i00, i01, i02, i11, i12, i22 = measured.upper
+        information = np.stack(
+            (
+                c * (c * i00 - s * i01) - s * (c * i01 - s * i11),
+                s * (c * i00 - s * i01) + c * (c * i01 - s * i11),
+                c * i02 - s * i12,
+                s * (s * i00 + c * i01) + c * (s * i01 + c * i11),
+                s * i02 + c * i12,
+                i22,
+            )
+        )
         if weights is not None:
             information = information * weights
         i00, i01, i02, i11, i12, i22 = information

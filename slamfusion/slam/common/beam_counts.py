@@ -17,7 +17,7 @@ import scipy
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.compute.layout import BEAM_ONE, MOST_BEAMS, TILE
-from slamfusion.geometry import F64, transform_points
+from slamfusion.geometry import F64, corners, transform_points
 from slamfusion.slam.common.tile_map import SharedTileMaps
 
 I32 = npt.NDArray[np.int32]
@@ -83,9 +83,8 @@ class BeamCounts:
 
     def cover(self, parts: Sequence[Beams]) -> None:
         """Extend the window to some beams."""
-        points = [part for own in parts for part in (own.ends, own.lasers)]
-        low = np.min([part.min(axis=0) for part in points], axis=0)
-        self._maps.cover(low - 1.0, np.max([part.max(axis=0) for part in points], axis=0) + 1.0)
+        low, high = corners(np.concatenate([p for own in parts for p in (own.ends, own.lasers)]))
+        self._maps.cover(low - 1.0, high + 1.0)
 
     def place(self, beams: Beams) -> I32:
         """Return the ends of beams, (B, 2), in 1/1024 cell of the lattice, with tiles for them."""
