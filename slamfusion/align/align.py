@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Collection
 from dataclasses import replace
@@ -19,7 +20,6 @@ from slamfusion.align.refine import settle
 from slamfusion.align.search import (
     FINER_CHANCE_MAX,
     SearchResult,
-    can_meet,
     finer_step,
     ranked,
     search,
@@ -102,8 +102,12 @@ def align_pair(
 
     window = window_around(pair, config, start)
     near = f"within {start.reach} of the start" if isinstance(start, StartPose) else None
-    if near is not None and not can_meet(pair, window):
-        return rejected(f"the maps do not meet {near}")
+    if near is not None and window.shift_cells is not None:
+        # Whether the two maps, boxes in their circles, can meet at all.
+        (height, width), (x, y, _) = pair.reference.shape, window.start
+        reach = window.shift_cells + math.hypot(*pair.moving.shape) / 2.0
+        if not (-reach <= x <= width + reach and -reach <= y <= height + reach):
+            return rejected(f"the maps do not meet {near}")
 
     found = search_window(pair, config, window)
     if not len(found.motions):

@@ -66,7 +66,17 @@ def conclude(
         prior = prior_within(pair, DISTINCT_CELLS, APART_RAD)
         chances = Chances(trials, pair.motion_of(start), prior)
     answer = best_answer(pair, found, chances)
-    best, statistics = _placed(pair, found, answer)
+    # As finely as the maps allow.
+    best = answer.motion
+    if found.coarse is not None and answer.reading != "bent":
+        best = climbed(pair, narrow_fits(pair, best[None])[0])
+    statistics = measure(pair, best)
+    met = max(statistics["wall_match_moving"], statistics["wall_match_reference"])
+    if answer.reading == "bent" and met < BENT_MATCH:
+        # A narrow fit locks onto one part of a bent map; a wide one spreads the misfit over all of
+        # it.
+        best = refine(pair, best[None], 1, BENT_SCALES, iterations=8, everywhere=True)[0]
+        statistics = measure(pair, best)
     overlap, error = statistics["overlap"], statistics.pop("error")
     shown = np.concatenate((best[None], answer.others[:1]))
     scores = [float(score) for score in rank(pair, shown)]
@@ -182,21 +192,6 @@ def _image_gain(pair: Pair, config: AlignConfig, answer: Answer, trials: float) 
         return None
     own = float(weigh(pair, answer.motion[None], other.reading).total[0])
     return odds(other.total / (other.total + max(own, 0.0)))
-
-
-def _placed(pair: Pair, found: SearchResult, answer: Answer) -> tuple[F64, dict[str, float]]:
-    """Return the answer as finely as the maps allow (3,), and its numbers (see ``measure``)."""
-    best = answer.motion
-    if found.coarse is not None and answer.reading != "bent":
-        best = climbed(pair, narrow_fits(pair, best[None])[0])
-    statistics = measure(pair, best)
-    met = max(statistics["wall_match_moving"], statistics["wall_match_reference"])
-    if answer.reading == "bent" and met < BENT_MATCH:
-        # A narrow fit locks onto one part of a bent map; a wide one spreads the misfit over all of
-        # it.
-        best = refine(pair, best[None], 1, BENT_SCALES, iterations=8, everywhere=True)[0]
-        statistics = measure(pair, best)
-    return best, statistics
 
 
 def measure(pair: Pair, motion: F64) -> dict[str, float]:

@@ -339,16 +339,6 @@ def window_around(pair: Pair, config: AlignConfig, start: Pose2 | StartPose | No
     return SearchWindow((x, y, yaw), shift, yaw_rad)
 
 
-def can_meet(pair: Pair, window: SearchWindow) -> bool:
-    """Whether the two maps, boxes in their circles, can meet at all inside a window."""
-    if window.shift_cells is None:
-        return True
-    height, width = pair.reference.shape
-    reach = window.shift_cells + math.hypot(*pair.moving.shape) / 2.0
-    x, y, _ = window.start
-    return -reach <= x <= width + reach and -reach <= y <= height + reach
-
-
 def search_window(pair: Pair, config: AlignConfig, window: SearchWindow) -> SearchResult:
     """Search; inside a window, with the rivals of everywhere; by fixed steps where asked for."""
     if config.step is not None:

@@ -85,12 +85,6 @@ STEPS = (0, -1, 1)
 NEIGHBOUR_STEPS = [(x, y) for x in STEPS for y in STEPS]
 
 
-def _half_open(spans: I32, point: int) -> tuple[int, int, int, int]:
-    """Return the shifts, from and to, at which a point is read."""
-    r0, r1, c0, c1 = (int(value) for value in spans[point // SHIFT_POINTS])
-    return max(0, r0), max(0, r1 + 1), max(0, c0), max(0, c1 + 1)
-
-
 def _narrow_scores(side: ScoredSide, motions: F64, drop: int) -> I32:
     """Return (P,) the sum of the field over the points under moved motions (4, P), in 32 bits."""
     field, shift = host(side.field), FIXED_TO_CELL_SHIFT - drop
@@ -268,7 +262,8 @@ class SearchDevice(ArrayDevice):
             scores[k] = base * len(own)
             for n, offset in enumerate(own):
                 row, col = divmod(int(offset), field_width)
-                r0, r1, c0, c1 = _half_open(spans[k], n)
+                # The shifts, from and to, at which the point is read.
+                r0, r1, c0, c1 = np.maximum(spans[k, n // SHIFT_POINTS] + (0, 1, 0, 1), 0)
                 part = field[row : row + height, col : col + width][r0:r1, c0:c1]
                 scores[k, r0:r1, c0:c1] += part.astype(np.int32) - base
         return scores

@@ -100,7 +100,12 @@ def _codes_of_strip(cells: I8, resolution: float) -> U8:
     elsewhere = _spread(_spread(ways & ALONG_ROW, 0, 1), 1, same)
     elsewhere |= _spread(_spread(ways & ALONG_COL, 1, 1), 0, same)
     elsewhere *= _is_shown(known, ways, same)
-    near_walls = np.asarray(cv2.dilate(walls, _disc(TOLERANCE_M / resolution)), dtype=np.uint8)
+    # A disc of the tolerance, at least of the next cells.
+    radius = max(TOLERANCE_M / resolution, math.sqrt(2.0))
+    reach = math.floor(radius)
+    row, col = np.mgrid[-reach : reach + 1, -reach : reach + 1]
+    disc = (row**2 + col**2 <= radius**2 + 1e-6).astype(np.uint8)
+    near_walls = np.asarray(cv2.dilate(walls, disc), dtype=np.uint8)
     near_walls *= _is_shown(known, ways, near)
     sides = np.where(walls != 0, ways, elsewhere) << np.uint8(WALL_SIDES)
     faces = (fronts != 0) * np.uint8(WALL_FACE)
@@ -181,11 +186,3 @@ def _spread(bits: U8, axis: int, reach: int) -> U8:
         out = out[(*before, slice(None, -step))] | out[(*before, slice(step, None))]
         width += step
     return out
-
-
-def _disc(radius: float) -> U8:
-    """Return a structuring element of the cells within a radius, at least of the next ones."""
-    radius = max(radius, math.sqrt(2.0))
-    reach = math.floor(radius)
-    row, col = np.mgrid[-reach : reach + 1, -reach : reach + 1]
-    return np.asarray(row**2 + col**2 <= radius**2 + 1e-6, dtype=np.uint8)
