@@ -174,11 +174,6 @@ class Answer:
         return replace(self, against=self.against | {"its mirror image": image})
 
     @property
-    def is_related(self) -> bool:
-        """Whether the maps can be read so, and do not fit each other by chance."""
-        return self.weight > 0.0 and self.expected("no relation") < EXPECTED_WRONG_MAX
-
-    @property
     def is_accepted(self) -> bool:
         """Whether it beats every hypothesis."""
         return self.weight > 0.0 and self.wrong < EXPECTED_WRONG_MAX
@@ -229,7 +224,12 @@ def best_answer(pair: Pair, found: SearchResult, chances: Chances) -> Answer:
         return good
     changed = answered("changed", plain.joined(weigh(pair, fits, "changed")))
     bent = answered("bent", weigh(pair, motions, "bent"))
-    readings = [answer for answer in (good, changed, bent) if answer.is_related]
+    # Those in which the maps can be read, and do not fit each other by chance.
+    readings = [
+        answer
+        for answer in (good, changed, bent)
+        if answer.weight > 0.0 and answer.expected("no relation") < EXPECTED_WRONG_MAX
+    ]
     return min(readings, key=lambda answer: answer.wrong, default=changed)
 
 

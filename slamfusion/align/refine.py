@@ -91,25 +91,16 @@ def refine(
             shift, turn = np.hypot(change[:, 0], change[:, 1]), np.abs(change[:, 2]) * reach
             length = shift / widths[moves] + turn / widths[moves]
             change /= np.maximum(1.0, length)[:, None]
-            local[moves] = _apply(local[moves], change, pivot)
+            # About the pivot, after the motions.
+            cos, sin = np.cos(change[:, 2]), np.sin(change[:, 2])
+            x, y = (local[moves, :2] - pivot).T
+            local[moves, 0] = cos * x - sin * y + pivot[0] + change[:, 0]
+            local[moves, 1] = sin * x + cos * y + pivot[1] + change[:, 1]
+            local[moves, 2] += change[:, 2]
             moves = moves[(np.abs(change) * (1.0, 1.0, reach) >= SETTLED_CELLS).any(axis=1)]
             if not len(moves):
                 break
     return np.asarray(local * np.array([step, step, 1.0]))
-
-
-def _apply(motions: F64, change: F64, pivot: tuple[float, float]) -> F64:
-    """Apply small motions about the pivot after the motions (where the centre lands, yaw)."""
-    cos, sin = np.cos(change[:, 2]), np.sin(change[:, 2])
-    x, y = motions[:, 0] - pivot[0], motions[:, 1] - pivot[1]
-    return np.stack(
-        (
-            cos * x - sin * y + pivot[0] + change[:, 0],
-            sin * x + cos * y + pivot[1] + change[:, 1],
-            motions[:, 2] + change[:, 2],
-        ),
-        axis=1,
-    )
 
 
 def settle(pair: Pair, motions: F64) -> F64:

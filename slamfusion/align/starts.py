@@ -108,19 +108,6 @@ def pose_of(start: Pose2 | StartPose | None) -> Pose2 | None:
     return start.pose if isinstance(start, StartPose) else start
 
 
-def start_distance(
-    middles: tuple[tuple[float, float], tuple[float, float]], reach_m: float, start: StartPose
-) -> float:
-    """Return how far apart a start puts two maps, from 1 on too far to meet.
-
-    ``middles`` are those of the known boxes of the reference and the moving map, each in its map
-    frame; ``reach_m`` is half the diagonal of both boxes together.
-    """
-    x, y = (float(value) for value in start.pose.transform(middles[1]))
-    apart = math.dist(middles[0], (x, y)) - math.sqrt(2.0) * start.metres
-    return max(0.0, apart) / reach_m
-
-
 def place_starts(
     starts: Mapping[str, Sequence[float]],
     inputs: Sequence[str] | None,

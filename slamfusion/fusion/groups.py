@@ -16,7 +16,7 @@ from slamfusion.align.align import align_pair
 from slamfusion.align.features import GridFeatures
 from slamfusion.align.pair import Pair
 from slamfusion.align.records import Alignment
-from slamfusion.align.starts import StartPose, Starts, named_input, start_distance
+from slamfusion.align.starts import StartPose, Starts, named_input
 from slamfusion.config import SMALLEST, FusionConfig
 from slamfusion.errors import AlignmentError, ConfigError
 from slamfusion.fusion.grouping import Candidate, GroupSearch, MapGroup, placed, rank_pairs
@@ -205,7 +205,10 @@ class _Aligner:
                 continue
             pair = Pair(self.features[item.a], self.features[item.b])
             reach_m = sum(math.hypot(*one.shape) for one in pair) / 2.0 * pair.resolution
-            apart = start_distance((pair.reference.middle, pair.moving.middle), reach_m, start)
+            # How far apart the start puts the two, from 1 on too far to meet.
+            there = start.pose.transform(pair.moving.middle)
+            apart_m = math.dist(pair.reference.middle, there) - math.sqrt(2.0) * start.metres
+            apart = max(0.0, apart_m) / reach_m
             if apart < 1.0:
                 near.append((apart, replace(item, ratio=math.inf)))
         near.sort(key=lambda item: item[0])
