@@ -20,7 +20,6 @@ from slamfusion.jobs.outputs import OVERLAY, PLACED, PLAN, WORLD_FILE, plan_file
 
 if TYPE_CHECKING:
     from slamfusion.align.records import Alignment
-    from slamfusion.geometry import Pose2
 
 
 @click.command(
@@ -101,7 +100,16 @@ def command(
     if not found.accepted:
         raise AlignmentError(f"{moving} does not align with {reference}: {found.reason}")
     if folder is not None and not as_json:
-        _print_files(folder)
+        drawn, placed = folder / f"{PLAN}.yaml", folder / f"{PLACED}.yaml"
+        words = f"{shlex.quote(str(placed))} --truth {shlex.quote(str(drawn))} --scale free"
+        output.print_facts(
+            ("plan", drawn),
+            ("map", f"{placed}, in the frame of the plan"),
+            ("world file", folder / WORLD_FILE),
+            ("overlay", folder / OVERLAY),
+            ("next", f"slamfusion evaluate {words}"),
+            *output.map_server_facts(placed),
+        )
 
 
 def _named(starts: options.GivenStarts, moving: str) -> options.GivenStarts:
@@ -111,19 +119,6 @@ def _named(starts: options.GivenStarts, moving: str) -> options.GivenStarts:
         message = f"{moving} is given twice, once without its name; keep one"
         raise click.BadParameter(message, param_hint="'--start'")
     return named
-
-
-def _print_files(folder: Path) -> None:
-    plan, placed = folder / f"{PLAN}.yaml", folder / f"{PLACED}.yaml"
-    words = f"{shlex.quote(str(placed))} --truth {shlex.quote(str(plan))} --scale free"
-    output.print_facts(
-        ("plan", plan),
-        ("map", f"{placed}, in the frame of the plan"),
-        ("world file", folder / WORLD_FILE),
-        ("overlay", folder / OVERLAY),
-        ("next", f"slamfusion evaluate {words}"),
-        *output.map_server_facts(placed),
-    )
 
 
 def _print_alignment(found: Alignment, device: str, pixel_m: float | None) -> None:
@@ -141,13 +136,10 @@ def _print_alignment(found: Alignment, device: str, pixel_m: float | None) -> No
     ]
     if output.is_verbose():
         rows.append(["error [F16]", number(found.error, 2)])
-        if found.runner_up is not None:
-            rows.append(["runner-up", _where(found.runner_up.transform, found.runner_up.ratio)])
+        if (rival := found.runner_up) is not None:
+            x, y, yaw = rival.transform.x, rival.transform.y, rival.transform.yaw_rad
+            place = f"{number(x)} m, {number(y)} m, {number(math.degrees(yaw), 1)} deg"
+            rows.append(["runner-up", f"{number(rival.ratio)} of the score at {place}"])
         rows += [["time", f"{number(found.time_s)} s"], ["device", device]]
     title = f"{found.moving} in the frame of {found.reference}"
     output.print_table((" ", " "), rows, title=title, header=False)
-
-
-def _where(pose: Pose2, ratio: float) -> str:
-    yaw = number(math.degrees(pose.yaw_rad), 1)
-    return f"{number(ratio)} of the score at {number(pose.x)} m, {number(pose.y)} m, {yaw} deg"

@@ -16,8 +16,6 @@ from slamfusion.errors import SlamFusionError
 if TYPE_CHECKING:
     from slamfusion.compute.compute_device import DeviceInfo
 
-NUMPY_NOTE = "numpy: always there (--device numpy), without OpenCL and slower"
-
 
 @click.command("doctor", cls=Command)
 @options.settings("device")
@@ -71,7 +69,7 @@ def devices_command(as_json: bool) -> None:
         print_json(DevicesDocument(devices))
         return
     print_devices(devices)
-    print(NUMPY_NOTE)
+    print("numpy: always there (--device numpy), without OpenCL and slower")
     if not devices:
         print("no OpenCL device found; `slamfusion doctor` says what to install")
 

@@ -157,7 +157,7 @@ def _print(found: Mapping[str, JudgedPaths], rows: Sequence[Row], reports: Seque
 
 
 def _print_one(found: JudgedPaths) -> None:
-    from slamfusion.jobs.judge import errors_m  # noqa: PLC0415
+    from slamfusion.evaluation.measured import errors_m  # noqa: PLC0415
 
     answer = found.recommendation
     columns, rows = path_table(answer)

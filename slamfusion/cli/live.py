@@ -60,11 +60,27 @@ def _node_options(function: Callable[..., None]) -> Callable[..., None]:
 @_node_options
 def status_command(client: Any, as_json: bool) -> None:
     """Show which inputs vote, and why others do not."""
-    found = client.status()
+    found: LiveStatusDocument = client.status()
     if as_json:
         print_json(found)
-    else:
-        _print(found)
+        return
+    inputs = found["inputs"]
+    rows = [
+        [
+            line["name"],
+            "yes" if line["figures"].get("accepted") == "yes" else "NO",
+            *(line["figures"].get(key, "-") for key in SHOWN),
+        ]
+        for line in inputs
+    ]
+    print_table(
+        ("input ", "votes ", *SHOWN),
+        rows,
+        notes=[line["message"] for line in inputs],
+        title=f"{found['node']}: {found['fusion']['message']}",
+    )
+    figures = found["fusion"]["figures"]
+    print(", ".join(f"{key} {figures[key]}" for key in ("maps published", "map [cells]")))
 
 
 @command.command("watch")
@@ -150,23 +166,3 @@ def _tell(answer: LiveAnswerDocument, as_json: bool) -> None:
         raise SlamFusionError(answer["message"])
     if not as_json:
         print(answer["message"])
-
-
-def _print(found: LiveStatusDocument) -> None:
-    inputs = found["inputs"]
-    rows = [
-        [
-            line["name"],
-            "yes" if line["figures"].get("accepted") == "yes" else "NO",
-            *(line["figures"].get(key, "-") for key in SHOWN),
-        ]
-        for line in inputs
-    ]
-    print_table(
-        ("input ", "votes ", *SHOWN),
-        rows,
-        notes=[line["message"] for line in inputs],
-        title=f"{found['node']}: {found['fusion']['message']}",
-    )
-    figures = found["fusion"]["figures"]
-    print(", ".join(f"{key} {figures[key]}" for key in ("maps published", "map [cells]")))

@@ -66,7 +66,9 @@ def settings(
             given = [(option, value) for option, value in found if value is not None]
             config = preset if like_paper and preset is not None else defaults
             if config_file is not None:
-                config = _read(config_file, config)
+                from slamfusion.slam.registry import load_config  # noqa: PLC0415  (loads slowly)
+
+                config = load_config(config_file, config)
             return function(*args, config=_override(config, given), **values)
 
         command: Any = wrapper
@@ -77,12 +79,6 @@ def settings(
         return typing.cast("F", _CONFIG_FILE(command))
 
     return decorate
-
-
-def _read(path: Path, defaults: RunConfig) -> RunConfig:
-    from slamfusion.slam.registry import load_config  # noqa: PLC0415  (only where one is given)
-
-    return load_config(path, defaults)
 
 
 def file(
@@ -190,8 +186,7 @@ def drive_files(judged: str, *, of_cases: bool = False) -> Callable[[F], F]:
 def check_odometry(odometry: object, relations: object) -> None:
     """Refuse odometry of a run without the relations that it is for."""
     if odometry and not relations:
-        message = "--odometry needs --relations FILE"
-        raise click.UsageError(message)
+        raise click.UsageError("--odometry needs --relations FILE")
 
 
 resolution = click.option(

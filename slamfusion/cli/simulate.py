@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
@@ -14,9 +14,6 @@ from slamfusion.cli.output import notice, print_json, print_table, progress_bar
 from slamfusion.cli.paths import MAP, InputPath
 from slamfusion.config import COURSES, RunConfig
 from slamfusion.jobs.documents import number
-
-if TYPE_CHECKING:
-    from slamfusion.jobs.simulate import SimulatedDrive
 
 
 class _Command(Command):
@@ -78,15 +75,11 @@ def command(
         notice(f"waypoints left out, which this robot cannot reach: {made.waypoints_left_out}")
     if as_json:
         print_json(made)
-    else:
-        _print(made)
-
-
-def _print(made: SimulatedDrive) -> None:
-    end, course = made.odometry_end_error, made.recording.course
+        return
+    end, done = made.odometry_end_error, made.recording.course
     rows = [
-        ["course", f"{course.name}, seed {course.seed}"],
-        ["robot", f"{course.drive.model}, {course.lidar.model} of {course.lidar.beams} beams"],
+        ["course", f"{done.name}, seed {done.seed}"],
+        ["robot", f"{done.drive.model}, {done.lidar.model} of {done.lidar.beams} beams"],
         ["scans", str(made.scans)],
         ["duration", f"{number(made.duration_s, 1)} s"],
         ["path", f"{number(made.path_m, 1)} m"],

@@ -39,7 +39,7 @@ def _files(out: Path, given: Mapping[str, Any]) -> list[Path]:
 def _state_options(function: Any) -> Any:
     """Give the command of a producer that can go on from a file what that takes."""
     stop_after = click.option(
-        "--stop-after", "stop_after", type=Number(int, 1), metavar="N", help="Stop after N scans."
+        "--stop-after", "limit", type=Number(int, 1), metavar="N", help="Stop after N scans."
     )
     resume = options.file(
         "--resume",
@@ -110,7 +110,6 @@ def _run(
     report: Path | None,
     resume: Path | None = None,
     state: Path | None = None,
-    stop_after: int | None = None,
     **asked: Any,
 ) -> None:
     from slamfusion.jobs.map_log import map_log, save_mapped_log  # noqa: PLC0415
@@ -121,16 +120,8 @@ def _run(
 
         open_regular(resume, SlamFusionError).close()
     with progress_bar() as progress:
-        mapped = map_log(
-            log,
-            name,
-            config,
-            resume=resume,
-            limit=stop_after,
-            progress=progress,
-            warn=notice,
-            **asked,
-        )
+        given = {"resume": resume, "progress": progress, "warn": notice, **asked}
+        mapped = map_log(log, name, config, **given)
     saved = save_mapped_log(mapped, stem, probabilities=probabilities, state=state, report=report)
     if mapped.failure is not None:
         message = f"{mapped.failure} (the map and the path were written all the same)"
@@ -166,13 +157,13 @@ def _run_seeds(
         if asked.pop(option, None) is not None:
             message = "--report, --resume and --save-state belong to one run; leave out --seeds"
             raise click.UsageError(message)
-    limit, rows = asked.pop("stop_after", None), []
+    rows = []
     saved: list[MappedLog] = []
     with progress_bar() as progress:
         for done, (seed, stem) in enumerate(stems.items()):
             progress("seeds", done, len(stems))
             own = replace(config, seed=seed or 0)
-            mapped = map_log(log, name, own, limit=limit, progress=progress, warn=notice, **asked)
+            mapped = map_log(log, name, own, progress=progress, warn=notice, **asked)
             saved.append(save_mapped_log(mapped, stem, probabilities=probabilities))
             result = mapped.result
             figures = result.measures.figures()

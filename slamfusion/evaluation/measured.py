@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from operator import itemgetter
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -298,6 +299,17 @@ class MeasuredPath:
         object.__setattr__(self, "name", self.trajectory.name)
         object.__setattr__(self, "poses", len(self.trajectory))
         object.__setattr__(self, "path_length_m", self.trajectory.path_length_m())
+
+
+def errors_m(paths: Sequence[MeasuredPath]) -> dict[str, dict[str, float]]:
+    """Return ATE and mean error on the relations of measured paths, metres, the least first."""
+    truths = {own.name: own.measures.truth for own in paths}
+    known = {own.name: own.measures.relations for own in paths}
+    found = {
+        "ATE": {name: own.ate.rmse for name, own in truths.items() if own is not None},
+        "relations": {name: own.translation.mean for name, own in known.items() if own is not None},
+    }
+    return {kind: dict(sorted(own.items(), key=itemgetter(1))) for kind, own in found.items()}
 
 
 @dataclass(frozen=True, eq=False)

@@ -97,7 +97,13 @@ def compare_on_logs(
         others: saved maps of other SLAMs by drive; see ``other_slams``.
     """
     given = others or {}
-    read = log_inputs(folder, names, given)
+    read = []
+    for name, saved in given.items():
+        read += map_inputs("map", name, saved.files)
+        read += [("path", name, path) for path in saved.paths.values()]
+    for name in names:
+        files = REAL_LOGS[name]
+        read += [("log", name, folder / files.log), ("truth", name, folder / files.reference)]
 
     def work(name: str, _: RunConfig, tell: Tell) -> RunResult:
         return _compare_on_log(folder, name, setup, given.get(name, SavedMaps((), (), {})), tell)
@@ -115,21 +121,6 @@ def compare_on_logs(
         remarks=[result.remark for result in found],
         read=read,
     )
-
-
-def log_inputs(
-    folder: Path, names: Sequence[str], others: Mapping[str, SavedMaps]
-) -> list[tuple[str, str, Path]]:
-    """Return role, drive and path of all input files."""
-    found = []
-    for name in names:
-        if name in others:
-            found += map_inputs("map", name, others[name].files)
-            found += [("path", name, path) for path in others[name].paths.values()]
-    for name in names:
-        found.append(("log", name, folder / REAL_LOGS[name].log))
-        found.append(("truth", name, folder / REAL_LOGS[name].reference))
-    return found
 
 
 def other_slams(

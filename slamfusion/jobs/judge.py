@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from operator import itemgetter
 from pathlib import Path
 
 from slamfusion.compute import ComputeDevice
@@ -16,6 +15,7 @@ from slamfusion.evaluation.measured import (
     Measures,
     Row,
     error_series,
+    errors_m,
     result_rows,
 )
 from slamfusion.evaluation.trajectory_error import on_clock
@@ -107,17 +107,6 @@ class JudgementsDocument:
     """The logs in the order given; paths are named by what made them."""
     summaries: Summaries = field(metadata=FLAT)
     circumstances: Circumstances = field(metadata=FLAT)
-
-
-def errors_m(paths: Sequence[MeasuredPath]) -> dict[str, dict[str, float]]:
-    """Return ATE and mean error on the relations of measured paths, metres, the least first."""
-    truths = {own.name: own.measures.truth for own in paths}
-    known = {own.name: own.measures.relations for own in paths}
-    found = {
-        "ATE": {name: own.ate.rmse for name, own in truths.items() if own is not None},
-        "relations": {name: own.translation.mean for name, own in known.items() if own is not None},
-    }
-    return {kind: dict(sorted(own.items(), key=itemgetter(1))) for kind, own in found.items()}
 
 
 def judge_paths(

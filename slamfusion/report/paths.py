@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 from matplotlib import colormaps  # noqa: TID251
-from matplotlib.axes import Axes  # noqa: TID251
 from matplotlib.collections import LineCollection  # noqa: TID251
 from matplotlib.colors import LinearSegmentedColormap, Normalize  # noqa: TID251
 from matplotlib.figure import Figure  # noqa: TID251
@@ -110,11 +109,6 @@ def odometry_line(path: Trajectory) -> Line:
     return Line(path, "raw odometry", NAMED["odometry"], 0.9, is_cut=True)
 
 
-def estimate_line(path: Trajectory) -> Line:
-    """Return the path that a report is about as a line."""
-    return Line(path, "estimate", colours_of([path.name])[path.name])
-
-
 def paths_picture(
     lines: Sequence[Line],
     marked: Trajectory,
@@ -140,7 +134,11 @@ def paths_picture(
         extent = canvas.grown(extent, canvas.box_of(other.poses), _DRIFT_SHARE)
     figure, axes = canvas.map_axes(extent)
     canvas.draw_grid(axes, grid, normalize)
-    _draw_others(axes, shown, _others_rgb(marked.name))
+    # At a fixed stride, and the last; the first of them is on top.
+    step = max(1, -(-sum(map(len, shown)) // _OTHERS_POINTS))
+    faint = [path.poses[np.r_[: len(path) - 1 : step, -1], :2] for path in reversed(shown)]
+    colour = (*canvas.unit_rgb(_others_rgb(marked.name)), _OTHERS_OPACITY)
+    axes.add_collection(LineCollection(faint, colors=[colour], linewidths=0.7), autolim=False)
     for line in lines:
         axes.plot(
             *line.path.poses[:, :2].T,
@@ -166,16 +164,6 @@ def paths_legend(lines: Sequence[Line], others: Sequence[Trajectory] = ()) -> ca
 def _others_rgb(name: str) -> Rgb:
     """Return the colour of what else a path of a name may have been."""
     return colours_of((name, _OTHERS))[_OTHERS]
-
-
-def _draw_others(axes: Axes, others: Sequence[Trajectory], rgb: Rgb) -> None:
-    """Draw paths faintly, the first of them on top."""
-    poses = sum(len(path) for path in others)
-    step = max(1, -(-poses // _OTHERS_POINTS))
-    # At a fixed stride, and the last.
-    lines = [path.poses[np.r_[: len(path) - 1 : step, -1], :2] for path in reversed(others)]
-    colour = (*canvas.unit_rgb(rgb), _OTHERS_OPACITY)
-    axes.add_collection(LineCollection(lines, colors=[colour], linewidths=0.7), autolim=False)
 
 
 def path_pictures(
@@ -206,7 +194,8 @@ def path_pictures(
             legend=canvas.MARKS,
         )
     ]
-    lines, captions = [estimate_line(trajectory)], []
+    colour = colours_of([trajectory.name])[trajectory.name]
+    lines, captions = [Line(trajectory, "estimate", colour)], []
     if odometry is not None and len(odometry):
         lines.insert(0, odometry_line(laid_on_start(odometry, trajectory)))
         captions.append("Raw odometry is aligned with the start; its far drift is cut off.")

@@ -11,7 +11,7 @@ from slamfusion.align.records import Alignment
 from slamfusion.config import PICTURE_FORMS, RunConfig
 from slamfusion.errors import MapFileError
 from slamfusion.evaluation.map_error import MapError
-from slamfusion.evaluation.measured import MeasuredPath, Measures
+from slamfusion.evaluation.measured import MeasuredPath, Measures, errors_m
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io.files import write_atomic
 from slamfusion.palette import Rgb, colours_of
@@ -71,7 +71,13 @@ def write_slam_report(
     statistics, layers = maps.map_statistics([grid], normalize), map_layers(grid, trajectory)
     sections = [page.Section("Map and path", "", pictures, statistics, layers=layers)]
     sections += errors_section([measured], colours_of([run.name]))
-    over_time = _series_pictures(run)
+    over_time = []
+    if series := drawable(run.series):
+        colour = colours_of([trajectory.name])[trajectory.name]
+        start_s = float(trajectory.stamps_s[0])
+        figure = series_picture(series, colours=[colour] * len(series), start_s=start_s)
+        text = f"From the top: {', '.join(item.name for item in series)}."
+        over_time = [page.Picture("over-time", figure, "Over the run", text)]
     health = page.NO_TABLES
     if figures:
         health += page.tables().texts("The run", ["what", "value"], figures)
@@ -86,17 +92,6 @@ def write_slam_report(
     shown = [*error_facts(measured), *facts]
     report = page.Page("SLAMfusion run", banner, shown, sections, config, device)
     return page.write_page(report, directory)
-
-
-def _series_pictures(run: ProducerRun) -> list[page.Picture]:
-    """Return the quantities over time as one picture; nothing where none has a value."""
-    shown = drawable(run.series)
-    if not shown:
-        return []
-    names, path = ", ".join(item.name for item in shown), run.trajectory
-    colour = colours_of([path.name])[path.name]
-    figure = series_picture(shown, colours=[colour] * len(shown), start_s=float(path.stamps_s[0]))
-    return [page.Picture("over-time", figure, "Over the run", f"From the top: {names}.")]
 
 
 # --- paths ----------------------------------------------------------------------------------------
@@ -186,20 +181,14 @@ def _paths_over_truth(
 def _headline(cases: Mapping[str, Sequence[MeasuredPath]]) -> str:
     """Name the path with the smallest error; of several cases the number of paths."""
     measured = [item for own in cases.values() for item in own]
-    errors = {item.name: item.measures for item in measured}
-    truth = {name: own.truth.ate.rmse for name, own in errors.items() if own.truth is not None}
-    known = {
-        name: own.relations.translation.mean
-        for name, own in errors.items()
-        if own.relations is not None
-    }
-    if len(cases) > 1 or not (truth or known):
+    found = errors_m(measured)
+    if len(cases) > 1 or not any(found.values()):
         return f"{len(measured)} paths of {len(cases)} cases"
-    errors_m = truth or known
-    best = min(errors_m, key=errors_m.__getitem__)
-    kind = "from the truth (ATE rmse)" if truth else "off the relations (mean)"
-    place = f", the nearest of {len(errors_m)}" if len(errors_m) > 1 else ""
-    return f"{best}: {errors_m[best]:.4f} m {kind}{place}"
+    errors = found["ATE"] or found["relations"]
+    best, error_m = next(iter(errors.items()))
+    kind = "from the truth (ATE rmse)" if found["ATE"] else "off the relations (mean)"
+    place = f", the nearest of {len(errors)}" if len(errors) > 1 else ""
+    return f"{best}: {error_m:.4f} m {kind}{place}"
 
 
 # --- maps -----------------------------------------------------------------------------------------

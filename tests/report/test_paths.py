@@ -82,7 +82,7 @@ def test_up_is_up_and_both_ends_are_marked() -> None:
 def test_every_path_has_its_colour() -> None:
     truth = Trajectory(corner().stamps_s, compose_poses((0.0, 2.0, 0.0), corner().poses))
     wheels = Trajectory(corner().stamps_s, compose_poses((0.0, -2.0, 0.0), corner().poses))
-    own = paths.estimate_line(corner())
+    own = paths.Line(corner(), "estimate", ESTIMATE)
     lines = [paths.odometry_line(wheels), own, paths.truth_line(truth)]
     image = pixels(paths.paths_picture(lines, corner()))
     image = image[25:-100, 125:-25]  # without the lettering, whose grey is much like odometry's
