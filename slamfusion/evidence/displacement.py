@@ -59,6 +59,8 @@ BLOCKS = 8
 MOST_HITS = 200 * CHUNKS
 # What was seen before each of these shares of the drive is compared with what was seen after it.
 SPLITS = (0.25, 0.5, 0.75)
+# Log-likelihood of a hit where nothing was seen.
+PRICE = float(np.log(UNKNOWN))
 
 
 @dataclass(frozen=True)
@@ -94,7 +96,7 @@ def find_displacements(
 ) -> tuple[Displacement, ...]:
     """Return the chunks of a drive that are surely displaced, in the order of time."""
     scans = evidence.scans
-    drawn, price = _drawn(evidence, name, device, WALL_CELLS)
+    drawn = _drawn(evidence, name, device, WALL_CELLS)
     some, moves = _some_hits(drawn), _moves()
     p_values, away_m = np.ones(CHUNKS), np.zeros(CHUNKS)
     for split in SPLITS:
@@ -103,13 +105,13 @@ def find_displacements(
         likelihoods, is_seen = drawn.look_up(some, among=among)
         if not is_seen.any():
             continue
-        picked, own = some[is_seen], np.maximum(likelihoods[is_seen], price)
+        picked, own = some[is_seen], np.maximum(likelihoods[is_seen], PRICE)
         block = drawn.hit_scans[picked] * (CHUNKS * BLOCKS) // len(scans)
         hits = np.maximum(np.bincount(block, minlength=CHUNKS * BLOCKS), 1)
         gains = np.empty((len(moves), CHUNKS, BLOCKS))
         for number, move in enumerate(moves):
             likelihoods, _ = drawn.look_up(picked, (float(move[0]), float(move[1])), among)
-            gain = np.maximum(likelihoods, price) - own
+            gain = np.maximum(likelihoods, PRICE) - own
             sums = np.bincount(block, gain, CHUNKS * BLOCKS)
             gains[number] = (sums / hits).reshape(CHUNKS, BLOCKS)
         found = _p_values(gains)
@@ -133,10 +135,10 @@ def contradicted_share(evidence: PathEvidence, name: str, device: ComputeDevice)
 
     Only hits count that scans shortly before and after explain, in places seen at other times.
     """
-    drawn, price = _drawn(evidence, name, device)
+    drawn = _drawn(evidence, name, device)
     (now, _), (then, is_seen) = (drawn.look_up(among=bits) for bits in (NEIGHBOURS, OTHERS))
-    is_asked = is_seen & (now > price)
-    return float(np.mean(then[is_asked] < price)) if is_asked.any() else 0.0
+    is_asked = is_seen & (now > PRICE)
+    return float(np.mean(then[is_asked] < PRICE)) if is_asked.any() else 0.0
 
 
 def find_contradiction(
@@ -144,10 +146,10 @@ def find_contradiction(
 ) -> Contradiction | None:
     """Return since when most of what a robot sees was free space before, else None."""
     scans = evidence.scans
-    drawn, price = _drawn(evidence, name, device)
+    drawn = _drawn(evidence, name, device)
     some = _some_hits(drawn)
     # Only hits that the scans shortly before and after explain.
-    some = some[drawn.look_up(some, among=NEIGHBOURS)[0] > price]
+    some = some[drawn.look_up(some, among=NEIGHBOURS)[0] > PRICE]
     shares = np.zeros(CHUNKS)
     for first in range(2, CHUNKS):
         late = some[drawn.chunks[some] >= first]
@@ -155,7 +157,7 @@ def find_contradiction(
             break
         then, is_seen = drawn.look_up(late, among=_before(first))
         if np.count_nonzero(is_seen) >= LEAST_ASKED:
-            shares[first] = np.mean(then[is_seen] < price)
+            shares[first] = np.mean(then[is_seen] < PRICE)
     first = int(shares.argmax())
     if shares[first] <= CONTRADICTED:
         return None
@@ -165,19 +167,18 @@ def find_contradiction(
         [drawn.look_up(late, (float(x), float(y)), _before(first))[0] for x, y in _moves().tolist()]
     )
     chunks = drawn.chunks[late]
-    by_chunk = [np.bincount(chunks, np.maximum(row, price), CHUNKS) for row in found]
+    by_chunk = [np.bincount(chunks, np.maximum(row, PRICE), CHUNKS) for row in found]
     moved = found[np.argmax(by_chunk, axis=0)[chunks], np.arange(len(late))]
     since_s = scans.stamps_s[np.flatnonzero(scans.chunks == first)[0]] - scans.stamps_s[0]
-    return Contradiction(float(since_s), float(shares[first]), float(np.mean(moved < price)))
+    return Contradiction(float(since_s), float(shares[first]), float(np.mean(moved < PRICE)))
 
 
 def _drawn(
     evidence: PathEvidence, name: str, device: ComputeDevice, reach_cells: int = REACH_CELLS
-) -> tuple[DrawnChunks, float]:
-    """Return the chunks along a path, and the log-likelihood of a hit where nothing was seen."""
+) -> DrawnChunks:
+    """Return the chunks along a path."""
     poses, is_judged = evidence.scores[name].poses, evidence.is_judged
-    drawn = DrawnChunks.of(name, poses, evidence.scans, is_judged, device, reach_cells)
-    return drawn, float(np.log(UNKNOWN))
+    return DrawnChunks.of(name, poses, evidence.scans, is_judged, device, reach_cells)
 
 
 def _some_hits(drawn: DrawnChunks) -> I64:

@@ -336,10 +336,38 @@ class DrawnChunks:
         device: ComputeDevice,
         reach_cells: int = REACH_CELLS,
     ) -> DrawnChunks:
-        """Draw the judged hits of a drive at the poses (N, 3) of a path at its scans."""
+        """Draw the judged hits of a drive at the poses (N, 3) of a path at its scans.
+
+        They are laid on a lattice of pages, with tiles wherever a hit is looked up.
+        """
         kept = is_judged[scans.hit_scans]
         hit_scans = scans.hit_scans[kept]
-        beams, facings, pages = _placed_beams(name, poses, scans, is_judged, kept, reach_cells)
+        first = poses[np.flatnonzero(is_judged)[0]]
+        lattice = np.array([0.0, 0.0, LATTICE_YAW_RAD])
+        laid = compose_poses(lattice, compose_poses(invert_poses(first), poses))
+        places = transform_points(laid, scans.hits[kept], hit_scans)
+        lasers = transform_points(laid, scans.lasers)[hit_scans]
+        cells = np.concatenate((places, lasers), axis=1) / CELL_M
+        page = np.floor(cells / TILE)
+        low = page.reshape(-1, 2).min(axis=0) - 1
+        width, height = (page.reshape(-1, 2).max(axis=0) + 2 - low).astype(np.int64)
+        if width * height > MOST_PAGES:
+            side_m = TILE * CELL_M
+            raise TrajectoryError(
+                f"{name}: what it sees spreads over {width * side_m:.0f} x "
+                f"{height * side_m:.0f} m, more than can be scored; check the unit and the frame "
+                "of its poses"
+            )
+        cells -= np.tile(low * TILE, 2)
+        beams = np.asarray(np.floor(cells * BEAM_ONE), dtype=np.int32)
+        col, row = (beams[:, :2] // BEAM_ONE).T
+        used = np.zeros((height, width), dtype=np.bool_)
+        for dx in (-reach_cells, reach_cells):
+            for dy in (-reach_cells, reach_cells):
+                used[(row + dy) // TILE, (col + dx) // TILE] = True
+        pages = np.where(used, np.cumsum(used).reshape(used.shape), 0).astype(np.int32)
+        turned = (laid[hit_scans, 2] + scans.facings_rad[kept]) * FACINGS / (2.0 * np.pi)
+        facings = (np.rint(turned).astype(np.int64) % FACINGS).astype(np.int32)
         chunks = scans.chunks[hit_scans]
         table = device.upload(pages)
         tiles = int(pages.max()) + 1
@@ -393,41 +421,3 @@ def log_likelihoods(found: npt.NDArray[np.int32]) -> tuple[F64, B8]:
     is_seen = (found[:, 1] != 0) | (has_wall & (squared <= KNOWN_CELLS**2))
     explained = np.log((1.0 - STRAY) * near + STRAY)
     return np.where(is_seen, explained, np.log(UNKNOWN)), is_seen
-
-
-def _placed_beams(
-    name: str, poses: F64, scans: JudgedScans, is_judged: B8, kept: B8, reach_cells: int
-) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32], npt.NDArray[np.int32]]:
-    """Lay the judged beams on a lattice of pages, with tiles wherever a hit is looked up.
-
-    Returns:
-        (B, BEAM_INTS) int32 beams, (B,) int32 directions that their surfaces face, and (PH, PW)
-        int32 pages, as ``chunk_marks`` takes them.
-    """
-    first = poses[np.flatnonzero(is_judged)[0]]
-    lattice = np.array([0.0, 0.0, LATTICE_YAW_RAD])
-    laid = compose_poses(lattice, compose_poses(invert_poses(first), poses))
-    hit_scans = scans.hit_scans[kept]
-    ends = transform_points(laid, scans.hits[kept], hit_scans)
-    lasers = transform_points(laid, scans.lasers)[hit_scans]
-    cells = np.concatenate((ends, lasers), axis=1) / CELL_M
-    page = np.floor(cells / TILE)
-    low = page.reshape(-1, 2).min(axis=0) - 1
-    width, height = (page.reshape(-1, 2).max(axis=0) + 2 - low).astype(np.int64)
-    if width * height > MOST_PAGES:
-        side_m = TILE * CELL_M
-        raise TrajectoryError(
-            f"{name}: what it sees spreads over {width * side_m:.0f} x {height * side_m:.0f} m, "
-            "more than can be scored; check the unit and the frame of its poses"
-        )
-    cells -= np.tile(low * TILE, 2)
-    beams = np.asarray(np.floor(cells * BEAM_ONE), dtype=np.int32)
-    col, row = (beams[:, :2] // BEAM_ONE).T
-    used = np.zeros((height, width), dtype=np.bool_)
-    for dx in (-reach_cells, reach_cells):
-        for dy in (-reach_cells, reach_cells):
-            used[(row + dy) // TILE, (col + dx) // TILE] = True
-    pages = np.where(used, np.cumsum(used).reshape(used.shape), 0)
-    turned = (laid[hit_scans, 2] + scans.facings_rad[kept]) * FACINGS / (2.0 * np.pi)
-    facings = np.rint(turned).astype(np.int64) % FACINGS
-    return beams, facings.astype(np.int32), pages.astype(np.int32)

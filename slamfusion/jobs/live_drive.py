@@ -335,7 +335,7 @@ class LiveDrive:
             return None
         scans = judged_hits(kept, beams.MOST_HITS if depth == "final" else MOST_HITS)
         paths = self._at_scans(scans, poses)
-        last = None if depth != "window" else self._path
+        last = self._path if depth == "window" else None
         try:
             found = (
                 _solved(scans, paths, self._device)

@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 from enum import Enum
 
 import numpy as np
-import numpy.typing as npt
 
 from slamfusion.align.features import GridFeatures
 from slamfusion.align.normalize import normalize_grid
@@ -328,17 +327,13 @@ class Input:
         self._features = features, self._changed
         return features
 
-    def corners(self) -> npt.NDArray[np.float64]:
-        """Return the corners of the known box in the input's frame, (4, 2) metres."""
-        if self.layer is None or self.layer.known is None:
-            return np.zeros((4, 2))
-        box, lattice = self.layer.known, self.layer.lattice
-        cells = [(x, y) for x in (box.col0, box.col1) for y in (box.row0, box.row1)]
-        return lattice.origin.transform(np.array(cells, dtype=np.float64) * lattice.resolution)
-
     def apart(self, a: Pose2, b: Pose2) -> tuple[float, float, float]:
         """Return the difference of two transforms of this map: centre m, turn rad, corners m."""
-        own = self.corners()
+        own = np.zeros((4, 2))  # corners of the known box in the input's frame
+        if self.layer is not None and (box := self.layer.known) is not None:
+            cells = [(x, y) for x in (box.col0, box.col1) for y in (box.row0, box.row1)]
+            lattice = self.layer.lattice
+            own = lattice.origin.transform(np.array(cells, dtype=np.float64) * lattice.resolution)
         corners = a.transform(own) - b.transform(own)
         centre = own.mean(axis=0)
         away_m = math.dist(
