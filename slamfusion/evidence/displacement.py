@@ -61,6 +61,10 @@ MOST_HITS = 200 * CHUNKS
 SPLITS = (0.25, 0.5, 0.75)
 # Log-likelihood of a hit where nothing was seen.
 PRICE = float(np.log(UNKNOWN))
+# Motions within ``REACH_M``, (S, 2) metres.
+_STEPS_M = np.arange(-round(REACH_M / STEP_M), round(REACH_M / STEP_M) + 1) * STEP_M
+_SQUARE_M = np.stack(np.meshgrid(_STEPS_M, _STEPS_M), axis=-1).reshape(-1, 2)
+MOVES_M = _SQUARE_M[np.hypot(*_SQUARE_M.T) <= REACH_M + 0.5 * STEP_M]
 
 
 @dataclass(frozen=True)
@@ -97,7 +101,7 @@ def find_displacements(
     """Return the chunks of a drive that are surely displaced, in the order of time."""
     scans = evidence.scans
     drawn = _drawn(evidence, name, device, WALL_CELLS)
-    some, moves = _some_hits(drawn), _moves()
+    some = _some_hits(drawn)
     p_values, away_m = np.ones(CHUNKS), np.zeros(CHUNKS)
     for split in SPLITS:
         among = _other_side(split)
@@ -108,8 +112,8 @@ def find_displacements(
         picked, own = some[is_seen], np.maximum(likelihoods[is_seen], PRICE)
         block = drawn.hit_scans[picked] * (CHUNKS * BLOCKS) // len(scans)
         hits = np.maximum(np.bincount(block, minlength=CHUNKS * BLOCKS), 1)
-        gains = np.empty((len(moves), CHUNKS, BLOCKS))
-        for number, move in enumerate(moves):
+        gains = np.empty((len(MOVES_M), CHUNKS, BLOCKS))
+        for number, move in enumerate(MOVES_M):
             likelihoods, _ = drawn.look_up(picked, (float(move[0]), float(move[1])), among)
             gain = np.maximum(likelihoods, PRICE) - own
             sums = np.bincount(block, gain, CHUNKS * BLOCKS)
@@ -117,7 +121,7 @@ def find_displacements(
         found = _p_values(gains)
         is_surer = found < p_values
         p_values[is_surer] = found[is_surer]
-        best = moves[gains.sum(axis=2).argmax(axis=0)]
+        best = MOVES_M[gains.sum(axis=2).argmax(axis=0)]
         away_m[is_surer] = np.hypot(*best.T)[is_surer]
     since_s = scans.stamps_s - scans.stamps_s[0]
     displaced = []
@@ -164,7 +168,7 @@ def find_contradiction(
     late = some[drawn.chunks[some] >= first]
     late = late[drawn.look_up(late, among=_before(first))[1]]
     found = np.array(
-        [drawn.look_up(late, (float(x), float(y)), _before(first))[0] for x, y in _moves().tolist()]
+        [drawn.look_up(late, (float(x), float(y)), _before(first))[0] for x, y in MOVES_M.tolist()]
     )
     chunks = drawn.chunks[late]
     by_chunk = [np.bincount(chunks, np.maximum(row, PRICE), CHUNKS) for row in found]
@@ -189,13 +193,6 @@ def _some_hits(drawn: DrawnChunks) -> I64:
 def _before(first: int) -> U32:
     """Return for each chunk the bits of those before one that are neither it nor next to it."""
     return np.asarray(OTHERS & np.uint32((1 << first) - 1))
-
-
-def _moves() -> F64:
-    """Return motions within ``REACH_M``, (S, 2) metres."""
-    steps = np.arange(-round(REACH_M / STEP_M), round(REACH_M / STEP_M) + 1) * STEP_M
-    moves = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
-    return np.asarray(moves[np.hypot(*moves.T) <= REACH_M + 0.5 * STEP_M])
 
 
 def _other_side(split: float) -> U32:

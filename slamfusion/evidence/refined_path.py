@@ -212,14 +212,14 @@ def refine_borne_out(
         TrajectoryError: see ``score_paths``.
     """
     with_given = with_path(evidence, path.name, path, device)
-    refined, both = _settled(with_given, path, _consistency(with_given, path.name), device)
+    refined, both = _settled(with_given, path, with_given.scores[path.name].consistency, device)
     start: RefinementStart = "paths"
     by_odometry = _from_odometry(with_given, path, device)
     if by_odometry is not None:
         other, with_other = by_odometry
         apart_m = np.linalg.norm(other.poses[:, :2] - refined.poses[:, :2], axis=1)
         wanted = FAR_GAIN if np.median(apart_m) > FAR_M else -GAIN
-        if _consistency(with_other, _REFINED) > _consistency(both, _REFINED) + wanted:
+        if with_other.scores[_REFINED].consistency > both.scores[_REFINED].consistency + wanted:
             start, refined, both = "odometry", other, with_other
     found = both.compare(_REFINED, path.name)
     # A p-value of 0.05 would also reject paths that are closer to the truth.
@@ -244,8 +244,8 @@ def _from_odometry(
         return None
     poses = laid_onto(scans.odometry[kept], given[kept])
     wheels = carried_along(path, scans.stamps_s[kept], given[kept], poses)
-    told = _consistency(with_path(evidence, _REFINED, wheels, device), _REFINED)
-    if told < _consistency(evidence, path.name) - NEAR:
+    told = with_path(evidence, _REFINED, wheels, device).scores[_REFINED].consistency
+    if told < evidence.scores[path.name].consistency - NEAR:
         return None
     refined, both = _settled(evidence, wheels, told, device)
     poses = laid_onto(refined.poses, path.poses)
@@ -259,16 +259,12 @@ def _settled(
     refined = refine_path(evidence.scans, path)
     both = with_path(evidence, _REFINED, refined, device)
     for _ in range(1, MOST_ROUNDS):
-        found = _consistency(both, _REFINED)
+        found = both.scores[_REFINED].consistency
         if found < told + ROUND_GAIN:
             break
         again = refine_path(evidence.scans, refined)
         with_again = with_path(evidence, _REFINED, again, device)
         told = found
-        if _consistency(with_again, _REFINED) > found:
+        if with_again.scores[_REFINED].consistency > found:
             refined, both = again, with_again
     return refined, both
-
-
-def _consistency(evidence: PathEvidence, name: str) -> float:
-    return evidence.scores[name].consistency

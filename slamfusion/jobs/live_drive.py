@@ -345,8 +345,7 @@ class LiveDrive:
             if found is None:
                 return None
             fused, evidence = found
-            is_whole = last is None
-            path = self._place(fused, paths, lattice, transforms or {}, is_whole=is_whole)
+            path = self._place(fused, paths, lattice, transforms or {}, is_whole=last is None)
             if evidence is None or last is not None:
                 evidence = score_paths(scans, {**paths, FUSED: path}, self._device)
         except SlamFusionError:

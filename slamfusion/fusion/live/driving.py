@@ -67,15 +67,12 @@ class OdomFrame:
                 self.transform = self.transform.compose(moved)
                 if self._posed_s <= before[0]:
                     self._target = self._target.compose(moved)
-            step = self._step(odometry, m_s, rad_s, min(spent_s, LONGEST_S))
+            left = self.left(odometry)
+            needed_s = max(math.hypot(left.x, left.y) / m_s, abs(left.yaw_rad) / rad_s)
+            passed_s = min(spent_s, LONGEST_S)
+            share = min(1.0, passed_s / needed_s) if needed_s > 0.0 else 1.0
+            step = Pose2(share * left.x, share * left.y, share * left.yaw_rad)
             here = self.transform.compose(odometry)
             self.transform = here.compose(step).compose(odometry.inverse())
         self._moved = stamp_s, odometry
         return self.transform
-
-    def _step(self, odometry: Pose2, m_s: float, rad_s: float, spent_s: float) -> Pose2:
-        """Return the part of the correction that fits into a time."""
-        left = self.left(odometry)
-        needed_s = max(math.hypot(left.x, left.y) / m_s, abs(left.yaw_rad) / rad_s)
-        share = min(1.0, spent_s / needed_s) if needed_s > 0.0 else 1.0
-        return Pose2(share * left.x, share * left.y, share * left.yaw_rad)

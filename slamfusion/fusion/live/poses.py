@@ -239,7 +239,13 @@ class PoseWatch:
                     rivals[name] = rivals.get(name, 0) + 1
             most = max(rivals.values())
             for name in sorted(name for name, count in rivals.items() if count == most):
-                out[name] = _reason(name, apart)
+                words = {
+                    names[0] if names[1] == name else names[1]: pair.words
+                    for names, pair in apart.items()
+                    if name in names
+                }
+                first = next(iter(words.values()))
+                out[name] = f"its poses contradict those of {', '.join(words)}: {first}"
             left = {names: pair for names, pair in left.items() if not {*names} & {*out}}
         return out
 
@@ -247,13 +253,3 @@ class PoseWatch:
 def _rows(poses: Mapping[int, Pose2], keys: Sequence[int]) -> F64:
     """Return the poses of some stamps, (N, 3)."""
     return np.array([row_of(poses[key]) for key in keys]).reshape(-1, 3)
-
-
-def _reason(name: str, apart: Mapping[tuple[str, str], _Pair]) -> str:
-    """Return in words from whom an input is apart."""
-    mine = {
-        names[0] if names[1] == name else names[1]: pair.words
-        for names, pair in apart.items()
-        if name in names
-    }
-    return f"its poses contradict those of {', '.join(mine)}: {next(iter(mine.values()))}"

@@ -204,7 +204,10 @@ class FusionSession:
             update = self._live.update(now_s)
             if update is not None:
                 self._note(update)
-            if self.waiting is not None and not self._may_gather():
+            arrived_s = None if self.waiting is None else self.waiting.arrived_s
+            is_young = arrived_s is not None and self._clock() - arrived_s < GATHER_S
+            # It goes on waiting for maps that came while it was made.
+            if self.waiting is not None and not (is_young and self._live.has_new):
                 self.send(with_agreement=not self._live.has_new)
             if update is None and not self._live.has_new:
                 break
@@ -238,12 +241,6 @@ class FusionSession:
     def _is_turn(self) -> bool:
         """Whether the last map that was sent is old enough for another one."""
         return self._clock() - self._sent_s >= 1.0 / self.rate_hz
-
-    def _may_gather(self) -> bool:
-        """Whether the map that waits goes on waiting for maps that came while it was made."""
-        arrived_s = None if self.waiting is None else self.waiting.arrived_s
-        is_young = arrived_s is not None and self._clock() - arrived_s < GATHER_S
-        return is_young and self._live.has_new
 
     def _reset(self) -> None:
         self._live.reset()
