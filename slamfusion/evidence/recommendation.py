@@ -218,15 +218,13 @@ def choose_path(
         return best, best, {}
     if evidence.compare(best, fused).verdict == "better":
         return best, best, {}
-    from_fused_m = {name: distance_m(evidence, name, fused) for name in ranking}
+    from_fused_m, still = {}, evidence.scores[fused].poses[evidence.is_judged]
+    for name in ranking:
+        poses = evidence.scores[name].poses[evidence.is_judged]
+        gaps = (moved_poses(fit_motion(poses, still), poses) - still)[:, :2]
+        # The root mean square distance of the aligned paths.
+        from_fused_m[name] = float(np.sqrt(np.mean(np.sum(gaps**2, axis=1))))
     return fused, min(ranking, key=from_fused_m.__getitem__), from_fused_m
-
-
-def distance_m(evidence: PathEvidence, name: str, other: str) -> float:
-    """Return the root mean square distance between two aligned paths, metres."""
-    poses, still = (evidence.scores[one].poses[evidence.is_judged] for one in (name, other))
-    aligned = moved_poses(fit_motion(poses, still), poses)
-    return float(np.sqrt(np.mean(np.sum((aligned[:, :2] - still[:, :2]) ** 2, axis=1))))
 
 
 # --- what to check ------------------------------------------------------------------------------

@@ -169,11 +169,15 @@ def compare(old: Layer, new: Layer, thresholds: NormalizeConfig, device: Compute
     """Compare two maps of one input; one on another lattice is resampled and counts as changed."""
     walls = old.walls
     occupied = math.ceil(thresholds.occupied_percent)
-    box: CellBox | None = old.box
+    box = old.box
     if new.lattice == old.lattice:
-        box = _changed_box(old, new)
-        if box is None:
-            return Change(None, 0, walls, 0, walls)
+        box = hull(old.box, new.box)
+        # Of maps 10 km apart the cells between them would take gigabytes.
+        if box.area <= SPARE_SHARE * (old.box.area + new.box.area):
+            differs = known_box((old.window(box) != new.window(box)).view(np.int8) - np.int8(1))
+            if differs is None:
+                return Change(None, 0, walls, 0, walls)
+            box = moved(differs, box.row0, box.col0)
         near = padded(box, 1)
         if near.area > SPARE_SHARE * (old.box.area + new.box.area):
             return Change(box, walls + new.walls, 0, 0, walls)  # nothing stands
@@ -190,13 +194,3 @@ def compare(old: Layer, new: Layer, thresholds: NormalizeConfig, device: Compute
         int(np.count_nonzero(gone & free)),
         walls,
     )
-
-
-def _changed_box(old: Layer, new: Layer) -> CellBox | None:
-    """Return the box of cells that differ; where maps lie far apart, of all cells of both."""
-    whole = hull(old.box, new.box)
-    if whole.area > SPARE_SHARE * (old.box.area + new.box.area):
-        return whole  # maps 10 km apart: the cells between them would take gigabytes
-    differs = old.window(whole) != new.window(whole)
-    found = known_box(differs.view(np.int8) - np.int8(1))
-    return None if found is None else moved(found, whole.row0, whole.col0)
