@@ -302,14 +302,8 @@ __kernel void warp(__global const char *in, const int height, const int width,
   for (int i = 0; i < stop - first; i++) line[i] = run[i];
 }
 
-INLINE int lanes_count(const uchar16 lanes) {
-  const ushort8 eight = convert_ushort8(lanes.lo) + convert_ushort8(lanes.hi);
-  const ushort4 four = eight.lo + eight.hi;
-  return four.x + four.y + four.z + four.w;
-}
-
 /* Joint counts of a trinary grid and of another under a fixed pose, grid to other, which is unknown
- * outside: partial[chunk, 3 (a + 1) + (b + 1)] over chunks of `chunk` rows, at most 63; the host adds
+ * outside: partial[chunk, 3 (a + 1) + (b + 1)] over chunks of `chunk` rows, at most 255; the host adds
  * the chunks. a (height, width), b (b_height, b_width) char; pose (4) long; partial (chunks, 9) int.
  * Global: (chunks). */
 __kernel void confusion(__global const char *a, const int height, const int width,
@@ -320,19 +314,21 @@ __kernel void confusion(__global const char *a, const int height, const int widt
   int counts[9] = {0, 0, 0, 0, 0, 0, 0, 0, 0};
   for (int first = 0; first < width; first += RUN) {
     const int run = LOWER(RUN, width - first);
-    /* In lanes, for one pair of values after another: counting into an array waits for itself. */
-    uchar16 same[9];
-    for (int k = 0; k < 9; k++) same[k] = 0;
+    /* Column by column, for one pair of values after another: one count would wait for itself. */
+    uchar same[9][RUN];
+    for (int k = 0; k < 9; k++)
+      for (int i = 0; i < RUN; i++) same[k][i] = 0;
     for (int row = start; row < stop; row++) {
       __global const char *own = a + (size_t)row * width + first;
       char other[RUN];
-      union { uchar cells[RUN]; uchar16 lanes[RUN / 16]; } pair;
+      uchar pair[RUN];
       warped_run(b, b_height, b_width, vload4(0, pose), row, first, first + run, UNKNOWN, other);
-      for (int i = 0; i < RUN; i++) pair.cells[i] = i < run ? 3 * own[i] + other[i] + 4 : 9;
-      for (int n = 0; n < RUN / 16; n++)
-        for (uchar k = 0; k < 9; k++) same[k] -= as_uchar16(pair.lanes[n] == (uchar16)k);
+      for (int i = 0; i < RUN; i++) pair[i] = i < run ? 3 * own[i] + other[i] + 4 : 9;
+      for (int k = 0; k < 9; k++)
+        for (int i = 0; i < RUN; i++) same[k][i] += pair[i] == k;
     }
-    for (int k = 0; k < 9; k++) counts[k] += lanes_count(same[k]);
+    for (int k = 0; k < 9; k++)
+      for (int i = 0; i < RUN; i++) counts[k] += same[k][i];
   }
   for (int k = 0; k < 9; k++) partial[get_global_id(0) * 9 + k] = counts[k];
 }

@@ -346,8 +346,8 @@ __kernel void refine_terms(__global const float *forward_points, const int forwa
       high[lane] = BOTH_CELLS(distance + cells[lane] + width);
     }
     const uint8 row0 = GATHERED(low), row1 = GATHERED(high);
-    const float8 r00 = convert_float8(as_int8(row0 & 0xffff)), r01 = convert_float8(as_int8(row0 >> 16));
-    const float8 r10 = convert_float8(as_int8(row1 & 0xffff)), r11 = convert_float8(as_int8(row1 >> 16));
+    const float8 r00 = convert_float8(as_int8(row0 << 16 >> 16)), r01 = convert_float8(as_int8(row0 >> 16));
+    const float8 r10 = convert_float8(as_int8(row1 << 16 >> 16)), r11 = convert_float8(as_int8(row1 >> 16));
     const float unseen = DISTANCE_UNSEEN;
     const int8 counts = on & (r00 < unseen) & (r01 < unseen) & (r10 < unseen) & (r11 < unseen);
     const float8 u = fx - convert_float8(col), v = fy - convert_float8(row);

@@ -74,7 +74,7 @@ def test_an_input_called_fused_comes_and_goes_beside_the_fused_map() -> None:
     source = SimpleNamespace(name="fused", pose=HeardPose(Pose2(1.0, 2.0, 0.0), None, 0.0, 0.0))
     place = Pose2(3.0, 0.0, 0.0)
     came, fit = InputMessage(maps=1), Fit(0.7, 0.8, is_tracked=True)
-    record = LiveInput("fused", came, 0.0, State.TRACKED, "fits", place, fit, None)
+    record = LiveInput("fused", came, State.TRACKED, "fits", place, fit, None)
     lines = [Status("fusion", Level.OK, "all"), Status("input fused", Level.OK, "fits")]
     with closing(live), socket(urls[0].rpartition(" ")[2]) as page:
         say(page, type="hello", token="")
