@@ -351,7 +351,7 @@ class _Surfaces(NamedTuple):
     def nearest(self, places: F64) -> tuple[npt.NDArray[np.intp], F64]:
         """Return the nearest point of each place (M, 2), and half of its squared distance, m^2.
 
-        All pairs, for so few points take no longer than a tree, and SciPy takes 0.3 s to import.
+        All pairs: for few points they take no longer than a tree, and SciPy takes 0.3 s to import.
         """
         away = places @ -self.points.T
         away += 0.5 * np.square(self.points).sum(axis=1)
