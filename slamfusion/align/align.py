@@ -12,7 +12,7 @@ import numpy as np
 
 from slamfusion.align.answer import conclude
 from slamfusion.align.decide import DECISIONS, DecisionKind
-from slamfusion.align.features import GridFeatures
+from slamfusion.align.features import KEPT_CELLS, GridFeatures
 from slamfusion.align.normalize import check_resampling, common_resolution, normalize_grid
 from slamfusion.align.pair import Pair
 from slamfusion.align.records import Alignment
@@ -31,9 +31,6 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.config import AlignConfig, FusionConfig, NormalizeConfig
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
-
-# Largest grid whose features are kept for its next alignment, cells; each takes some 24 bytes.
-KEPT_CELLS = 1 << 20
 
 
 def align_grids(
@@ -59,7 +56,8 @@ def align_grids(
     features = []
     for grid in (reference, moving):
         # The last small ones are kept: one truth has many maps.
-        make = _kept if grid.cells.size <= KEPT_CELLS else _kept.__wrapped__
+        cells = grid.cells.size * (grid.resolution / resolution) ** 2
+        make = _kept if cells <= KEPT_CELLS else _kept.__wrapped__
         features.append(make(grid, resolution, config.normalize, device))
     return align_pair(Pair(*features), config.align, start)
 

@@ -26,7 +26,7 @@ from slamfusion.align.likelihood import (
 from slamfusion.align.lines import PieceLines, piece_lines
 from slamfusion.align.normalize import LEAST_KEPT, NormalizedGrid
 from slamfusion.compute import ComputeDevice
-from slamfusion.compute.arrays import DeviceArray
+from slamfusion.compute.arrays import I32, I64, DeviceArray
 from slamfusion.compute.lattice import PointPlanes, point_planes
 from slamfusion.compute.layout import (
     DISTANCE_MAX,
@@ -68,6 +68,8 @@ CLEARER = 0.3
 # bytes if memory is to be spared.
 FIELD_BYTES, FREE_SHARE = 40, 0.5
 SPARING_BYTES = 2**28
+# Largest grid whose features are kept for its next alignment, cells; each takes ``FIELD_BYTES``.
+KEPT_CELLS = 1 << 20
 
 
 # Held while features are made, since two threads may align one map with others.
@@ -297,27 +299,28 @@ class GridFeatures:
         return self.device.upload((spread_sample(level.points, most) / 2.0).astype(np.float32))
 
     @_kept
-    def pieces(self, per_half_cell: float, most: int) -> tuple[PointPieces, npt.NDArray[np.int64]]:
-        """Return at most ``most`` sampled surface walls by piece; half a cell in piece sides.
-
-        Also (B, 2) the column and row of each piece.
-        """
+    def _cut(self, per_half_cell: float, most: int) -> tuple[I32, I32, I64]:
+        """Return what ``pieces`` has, on the host, and (B, 2) the column and row of each piece."""
         points = spread_sample(self.level(1).points, most)
         col, row = np.floor(points * per_half_cell).astype(np.int64).T
         squares = col * (row.max(initial=0) + 1) + row
         order = np.argsort(squares, kind="stable")
         first = np.unique(squares[order], return_index=True)[1]
         starts = np.append(first, len(points)).astype(np.int32)
-        points, places = points.take(order, axis=0), np.stack((col, row), axis=1)[order[first]]
+        return points.take(order, axis=0), starts, np.stack((col, row), axis=1)[order[first]]
+
+    @_kept
+    def pieces(self, per_half_cell: float, most: int) -> PointPieces:
+        """Return at most ``most`` sampled surface walls by piece; half a cell in piece sides."""
+        points, starts, _ = self._cut(per_half_cell, most)
         sides = self._facings()[points[:, 1] // 2, points[:, 0] // 2]
         upload = self.device.upload
-        return PointPieces(upload(points), upload(starts), upload(sides)), places
+        return PointPieces(upload(points), upload(starts), upload(sides))
 
     @_kept
     def piece_lines(self, per_half_cell: float, most: int, width: float, apart: int) -> PieceLines:
         """Return how the ``pieces`` depend on each other, see ``lines.piece_lines``."""
-        pieces, places = self.pieces(per_half_cell, most)
-        points, starts = map(self.device.download, (pieces.points, pieces.starts))
+        points, starts, places = self._cut(per_half_cell, most)
         return piece_lines(points, starts[:-1], places, width, apart)
 
     @_kept

@@ -126,14 +126,22 @@ def wall_pieces(
     """
     sides = list(pair.sides(motions, scales=scales))
     found = _pieces(pair, sides, sigma, PIECE_POINTS, sided=sided)
-    evidence, most, share_most, seen_m, (own, other) = zip(*found, strict=True)
+    evidence, most, share_most, seen_m = zip(*found, strict=True)
+    cut, apart = (_piece_sides(pair, sigma), PIECE_POINTS), ALIKE if sided else 1
+    lines, others = (own.piece_lines(*cut, sigma, apart) for own, _, _ in sides)
     return WallPieces(
         np.concatenate(evidence, axis=1),
         np.concatenate(most, axis=1),
         np.concatenate(share_most, axis=1),
         np.asarray(seen_m[0] + seen_m[1]),
-        (own, other),
+        (lines, others),
     )
+
+
+def _piece_sides(pair: Pair, sigma: float) -> float:
+    """Return half a cell in sides of a piece."""
+    size = pair.resolution
+    return size / (2.0 * (PIECE_M * max(1.0, sigma * size / PIECE_WIDTH_M)))
 
 
 def _pieces(
@@ -143,30 +151,27 @@ def _pieces(
     most_points: int,
     *,
     sided: bool,
-) -> list[tuple[F64, F64, F64, F64, PieceLines]]:
+) -> list[tuple[F64, F64, F64, F64]]:
     """Return what ``WallPieces`` has of each map's pieces.
 
     Of each side: a map, motions (4, P), and the other map.
     """
-    size = pair.resolution
-    side = PIECE_M * max(1.0, sigma * size / PIECE_WIDTH_M)
-    cut = size / (2.0 * side), most_points
+    cut = _piece_sides(pair, sigma), most_points
     looked_up, facts = [], []
     for own, motions, other in sides:
         table, words = other.piece_words(sigma)
-        looked_up.append(PieceSide(own.pieces(*cut)[0], motions, words, table.base))
-        lines = own.piece_lines(*cut, sigma, ALIKE if sided else 1)
-        facts.append((table, lines, len(own.level(1).points)))
+        looked_up.append(PieceSide(own.pieces(*cut), motions, words, table.base))
+        facts.append((table, len(own.level(1).points)))
     found = []
     sums = pair.device.piece_sums(*looked_up, sided=sided)
-    for (table, lines, walls), (given, could, met) in zip(facts, sums, strict=True):
+    for (table, walls), (given, could, met) in zip(facts, sums, strict=True):
         # Half, since both maps' walls are counted.
-        metres = 0.5 * size * walls / max(1, min(walls, most_points))
+        metres = 0.5 * pair.resolution * walls / max(1, min(walls, most_points))
         unit = table.unit * metres
         most = met * (table.span * unit)
         share_most = could * unit if sided else most
         seen_m = met.sum(axis=1) * metres
-        found.append((given * unit, most, share_most, seen_m, lines))
+        found.append((given * unit, most, share_most, seen_m))
     return found
 
 

@@ -24,6 +24,7 @@ import scipy
 from slamfusion.align.normalize import NormalizedGrid, normalize_grid
 from slamfusion.align.records import FusionResult
 from slamfusion.compute import ComputeDevice
+from slamfusion.compute.arrays import DeviceArray
 from slamfusion.compute.layout import OPEN, WALL
 from slamfusion.config import FusionConfig
 from slamfusion.errors import TrajectoryError
@@ -44,7 +45,7 @@ I64 = npt.NDArray[np.int64]
 U32 = npt.NDArray[np.uint32]
 Row = tuple[float, ...]
 
-# Scans that are laid at once: what it takes of memory does not grow with the drive.
+# Scans that are placed and counted at once.
 PART = 256
 # A cell is a wall if more than this share of the beams that reached it ended in it, and this number
 # at least; a free one was crossed by at least the third number of beams.
@@ -132,14 +133,13 @@ class MapDrawer:
         """Count scans that are not counted yet, some at a time."""
         resolution = self.lattice.resolution
         parts = [slice(first, first + PART) for first in range(0, len(scans), PART)]
-        for part in parts:
-            whole = Beams.of(scans[part], poses[part], resolution)
+        wholes = [Beams.of(scans[part], poses[part], resolution) for part in parts]
+        for whole in wholes:
             self._whole.count(whole, self._whole.place(whole), 1)
         hits, visits, corner = self._whole.cells()
-        walls, stopped = _is_wall(hits, visits), []
-        for part in parts:
-            whole = Beams.of(scans[part], poses[part], resolution)
-            stopped.append(_cut_off(whole, walls, corner, self._device, resolution))
+        walls = np.where(_is_wall(hits, visits), WALL, OPEN).astype(np.uint8)
+        cells = self._device.upload(walls)
+        stopped = [_cut_off(one, cells, corner, self._device, resolution) for one in wholes]
         self._stopped.cover(stopped)
         for part, beams in zip(parts, stopped, strict=True):
             ends, firsts = self._stopped.place(beams), beams.firsts[1:-1]
@@ -188,7 +188,11 @@ def _without_specks(cells: I8, least_cells: float) -> I8:
 
 
 def _cut_off(
-    beams: Beams, walls: B8, corner: I64, device: ComputeDevice, resolution: float
+    beams: Beams,
+    walls: DeviceArray[np.uint8],
+    corner: I64,
+    device: ComputeDevice,
+    resolution: float,
 ) -> Beams:
     """Return the beams stopped at walls; those that stop there hit nothing."""
     starts = beams.lasers[beams.scans]
@@ -196,9 +200,8 @@ def _cut_off(
     length = np.hypot(along[:, 0], along[:, 1])
     direction = along / np.maximum(length, 1e-9)[:, None]
     rays = np.concatenate((starts - corner, direction), axis=1).astype(np.float32)
-    cells = device.upload(np.where(walls, WALL, OPEN).astype(np.uint8))
     reach = float(length.max()) + 1.0
-    met = device.cast_rays(cells, rays, reach)[:, 0].astype(np.float64)
+    met = device.cast_rays(walls, rays, reach)[:, 0].astype(np.float64)
     goes_on = met + BEYOND_M / resolution < length
     # Half a cell before the wall: this beam does not cross its cell.
     stop = np.where(goes_on, np.maximum(met - 0.5, 0.0), length)

@@ -238,14 +238,14 @@ def _from_odometry(
 ) -> tuple[Trajectory, PathEvidence] | None:
     """Lay the scans on each other along the odometry; None where they contradict it."""
     scans = evidence.scans
-    given, is_own = cover_stamps(path, scans)
-    kept = np.flatnonzero(is_own)
+    score = evidence.scores[path.name]
+    given, kept = score.poses, np.flatnonzero(score.is_own)
     if scans.odometry is None or len(kept) < 2:
         return None
     poses = laid_onto(scans.odometry[kept], given[kept])
     wheels = carried_along(path, scans.stamps_s[kept], given[kept], poses)
     told = with_path(evidence, _REFINED, wheels, device).scores[_REFINED].consistency
-    if told < evidence.scores[path.name].consistency - NEAR:
+    if told < score.consistency - NEAR:
         return None
     refined, both = _settled(evidence, wheels, told, device)
     poses = laid_onto(refined.poses, path.poses)

@@ -14,7 +14,7 @@ from collections.abc import Callable
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from functools import lru_cache
 
-from slamfusion.align.features import GridFeatures
+from slamfusion.align.features import KEPT_CELLS, GridFeatures
 from slamfusion.align.normalize import NormalizedGrid
 from slamfusion.align.pair import Pair
 from slamfusion.align.records import Alignment
@@ -24,8 +24,6 @@ from slamfusion.fleet import tasks_ahead
 
 # Half of an alignment is the host's, so a second thread keeps the device busy.
 THREADS = 2
-# Largest grid whose fields a worker keeps, cells; each takes some 24 bytes.
-KEPT_CELLS = 1 << 20
 # A grid in transit, pickled and compressed to about a tenth, and whether its fields are kept.
 Packed = tuple[bytes, bool]
 

@@ -175,8 +175,9 @@ class LiveDrive:
     def add_scan(self, item: LogScan) -> None:
         """Take a scan, deskewed, with the odometry at its stamp if there is any."""
         hits = next(scan_hits([item]), None)
+        is_blind = hits is None or len(hits.rows) < LEAST_SEEN
         with self._lock:
-            if hits is None or len(hits.rows) < LEAST_SEEN:
+            if is_blind:
                 self._blind_s.append(item.scan.stamp_s)
             if hits is None:
                 return

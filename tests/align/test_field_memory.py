@@ -62,7 +62,7 @@ def test_what_is_made_again_is_the_same(device: ComputeDevice) -> None:
         arrays = (
             item.cells, item.level(1).distance, item.level(2).far_distance,
             item.solid_level().distance2, item.field(2, table), item.piece_words(1.5)[1],
-            *item.pieces(0.1, 500)[0], item.wall_places(2, 40), item.wall_planes(2, 40).planes,
+            *item.pieces(0.1, 500), item.wall_places(2, 40), item.wall_planes(2, 40).planes,
         )  # fmt: skip
         own = (item.level(2).points, item.wall_points)
         return [*(device.download(array).tolist() for array in arrays), *(a.tolist() for a in own)]

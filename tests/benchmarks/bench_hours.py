@@ -35,7 +35,7 @@ from slamfusion.trajectory import Trajectory
 HOUR_S = 3600.0
 # Path and map come this often, seconds of the log.
 TOLD_S = 2.0
-# The path of a node has at most this many poses (``path_poses``).
+# The path of a node has at most this many poses (``messages.PATH_POSES``).
 PATH_POSES = 2000
 COLUMNS = ("hour", "node", "CPU ms a scan", "MB", "slowest scan ms", "apart m")
 

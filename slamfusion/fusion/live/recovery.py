@@ -142,7 +142,7 @@ class Anchor:
         names = "/".join(one.name for one in inputs)
         if not self._is_due(inputs, names):
             return None, None
-        last = hold_map(self._aligner.layers.last_fused(), LAST_FUSED, aligner)
+        last = hold_map(aligner.layers.last_fused(), LAST_FUSED, aligner)
         if last is None:
             return None, turn_all(inputs, Reason.FEW_WALLS, other=LAST_FUSED)
         turn_all(inputs, Reason.NO_FIT, other=LAST_FUSED)
