@@ -16,15 +16,10 @@ import numpy.typing as npt
 import scipy
 
 from slamfusion.compute import ComputeDevice
+from slamfusion.compute.arrays import I32, U32
 from slamfusion.compute.layout import BEAM_ONE, MOST_BEAMS, TILE
 from slamfusion.geometry import F64, corners, transform_points
 from slamfusion.slam.common.tile_map import SharedTileMaps
-
-I32 = npt.NDArray[np.int32]
-U32 = npt.NDArray[np.uint32]
-
-# Parts of a cell that points are rounded to, as the kernel sees them.
-POINT_PARTS = 1024.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +48,7 @@ class Beams:
         lasers, placed = np.array([scan.laser for scan in scans]), np.array(poses)
 
         def in_cells(points: F64) -> F64:
-            return np.asarray(np.rint(points / resolution * POINT_PARTS) / POINT_PARTS)
+            return np.asarray(np.rint(points / resolution * BEAM_ONE) / BEAM_ONE)
 
         return cls(
             in_cells(transform_points(placed, lasers)),
@@ -91,7 +86,7 @@ class BeamCounts:
         self.cover([beams])
         maps = self._maps
         lasers, ends = beams.lasers - maps.origin, beams.ends - maps.origin
-        maps.make_writable(_pages_crossed(lasers, ends, beams.firsts, maps.pages.shape[1:])[None])
+        maps.make_writable(_pages_crossed(lasers, ends, beams.scans, maps.pages.shape[1:])[None])
         return np.asarray(_fixed(ends) + self._corner)
 
     @property
@@ -121,14 +116,14 @@ def _fixed(cells: F64) -> I32:
 
 
 def _pages_crossed(
-    lasers: F64, ends: F64, firsts: npt.NDArray[np.int64], shape: tuple[int, ...]
+    lasers: F64, ends: F64, of: npt.NDArray[np.int64], shape: tuple[int, ...]
 ) -> npt.NDArray[np.bool_]:
     """Return which pages beams may cross, (PH, PW) bool, with some neighbours.
 
-    One beam of a scan is followed to the middle of each end page; the others stay within a page.
+    ``of`` is the scan of each beam. One beam of a scan is followed to the middle of each end page;
+    the others stay within a page.
     """
     crossed = np.zeros(shape, dtype=np.bool_)
-    of = np.repeat(np.arange(len(lasers)), np.diff(firsts))
     col, row = np.floor(ends / TILE).astype(np.int64).T
     _, one = np.unique((of * shape[0] + row) * shape[1] + col, return_index=True)
     start = lasers[of[one]]

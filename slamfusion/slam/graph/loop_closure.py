@@ -347,18 +347,21 @@ class LoopClosure(Stateful):
         if not (self._config.do_loop_closing and is_whole) or is_short:
             return None
         pose = graph.pose(local_map.active_submap.anchor).compose(local)
-        shown = []
-        for index in np.flatnonzero(local_map.distances_m(pose, graph.poses) < INSIDE_M).tolist():
-            submap = local_map.submaps[index]
-            if (
-                local_map.components[index] == local_map.active_component
-                and index != local_map.active
-                and submap.scans >= least_scans
-            ):
-                expected = graph.pose(submap.anchor).inverse().compose(pose)
-                shown.append((search.unseen_share(submap, points, expected), index, expected))
-        if not local_map.is_known and len(shown) < KNOWN_SUBMAPS:
+        is_near = local_map.distances_m(pose, graph.poses) < INSIDE_M
+        inside = [
+            index
+            for index in np.flatnonzero(is_near).tolist()
+            if local_map.components[index] == local_map.active_component
+            and index != local_map.active
+            and local_map.submaps[index].scans >= least_scans
+        ]
+        if not local_map.is_known and len(inside) < KNOWN_SUBMAPS:
             return None
+        shown = []
+        for index in inside:
+            submap = local_map.submaps[index]
+            expected = graph.pose(submap.anchor).inverse().compose(pose)
+            shown.append((search.unseen_share(submap, points, expected), index, expected))
         most_unseen = LEAVE_UNSEEN if local_map.is_known else ENTER_UNSEEN
         for unseen, index, expected in sorted(shown, key=lambda one: one[:2])[:KNOWN_TRIES]:
             if unseen > most_unseen:

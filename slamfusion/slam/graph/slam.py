@@ -113,9 +113,9 @@ class GraphSlam(SavedMapper):
     def _follow(self, seen: Observation, hypotheses: list[PoseHypothesis]) -> Step:
         # In a known place: does the submap show what the scan sees?
         expected = pose_of(hypotheses[0].pose)
-        if self._local_map.is_known and self._is_far(expected) and not self._localizer.has_jumped:
-            if not self._loops.is_shown(seen.points, expected):
-                self._change_place(seen.points, expected)
+        is_known = self._local_map.is_known and not self._localizer.has_jumped
+        if is_known and self._is_far(expected) and not self._loops.is_shown(seen.points, expected):
+            self._change_place(seen.points, expected)
             hypotheses = self._localizer.hypotheses(seen.scan.stamp_s, seen.odometry)
 
         # Find the scan on the local map. Is the robot still there?

@@ -106,7 +106,7 @@ FAR_MOVED = 2.0
 # Published percent at no wall, at the free limit, at the occupied one (those of the map servers),
 # and at a sure wall.
 PERCENTS = (0.0, 25.0, 65.0, 100.0)
-# Share of ``occupied_share`` at the free limit: cells in between are published as unclear.
+# Share of ``OCCUPIED_SHARE`` at the free limit: cells in between are published as unclear.
 FREE_SHARE = 0.5
 
 
@@ -174,7 +174,7 @@ class TinySlam:
         if not self._mapped:
             raise SlamFusionError(f"{self.name}: no scan could be used, so there is no map")
         states, first = self._map.cells("published")
-        percent = _percent(states.astype(np.uint32), OCCUPIED_SHARE)
+        percent = _percent(states.astype(np.uint32))
         return known_part(percent, self._anchor, first, self._config.resolution, self.name)
 
     def memory_bytes(self) -> int:
@@ -249,14 +249,14 @@ class TinySlam:
         return beams
 
 
-def _percent(states: npt.NDArray[np.uint32], occupied_share: float) -> npt.NDArray[np.int8]:
+def _percent(states: npt.NDArray[np.uint32]) -> npt.NDArray[np.int8]:
     """Return published states as occupancy in percent.
 
-    The percent rises with the cell's mean: ``occupied_share`` maps to 65 and half of it to 25, the
+    The percent rises with the cell's mean: ``OCCUPIED_SHARE`` maps to 65 and half of it to 25, the
     limits of the map servers, so a wall that some beams grazed stays a wall.
     """
     mean = (states >> 12).astype(np.float64) / (2 * MEAN_HALF)
-    limits = (0.0, FREE_SHARE * occupied_share, occupied_share, 1.0)
+    limits = (0.0, FREE_SHARE * OCCUPIED_SHARE, OCCUPIED_SHARE, 1.0)
     percent = np.rint(np.interp(mean, limits, PERCENTS)).astype(np.int8)
     percent[states & MOST_OBSERVATIONS == 0] = UNKNOWN
     return percent
