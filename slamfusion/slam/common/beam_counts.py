@@ -110,9 +110,8 @@ class BeamCounts:
 
 
 def _fixed(cells: F64) -> I32:
-    """Return places, cells of the window, in 1/1024 cell, as float32 of the kernels has them."""
-    places = cells.astype(np.float32) * np.float32(BEAM_ONE)
-    return np.asarray(np.floor(places), dtype=np.int32)
+    """Return places, cells of the window, in 1/1024 cell."""
+    return np.asarray(np.floor(cells * BEAM_ONE), dtype=np.int32)
 
 
 def _pages_crossed(
