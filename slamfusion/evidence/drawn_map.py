@@ -152,7 +152,7 @@ class MapDrawer:
         """Take scans back that were counted."""
         scans, poses, ends, is_hit = zip(*moved, strict=True)
         beams = Beams.of(scans, poses, self.lattice.resolution)
-        self._whole.count(beams, self._whole.place(beams), -1)
+        self._whole.count(beams, self._whole.ends(beams), -1)
         stopped = replace(beams, is_hit=np.concatenate(is_hit))
         self._stopped.count(stopped, np.concatenate(ends), -1)
         for scan in scans:

@@ -87,7 +87,11 @@ class BeamCounts:
         maps = self._maps
         lasers, ends = beams.lasers - maps.origin, beams.ends - maps.origin
         maps.make_writable(_pages_crossed(lasers, ends, beams.scans, maps.pages.shape[1:])[None])
-        return np.asarray(_fixed(ends) + self._corner)
+        return self.ends(beams)
+
+    def ends(self, beams: Beams) -> I32:
+        """Return the same of beams that were placed before."""
+        return np.asarray(_fixed(beams.ends - self._maps.origin) + self._corner)
 
     @property
     def _corner(self) -> I32:

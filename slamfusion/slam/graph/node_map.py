@@ -71,7 +71,8 @@ class NodeMap:
             for first in range(0, len(chosen), PART):
                 some = chosen[first : first + PART]
                 beams = Beams.of([job.nodes[i] for i in some], poses[some] / parts, cell)
-                self._counts.count(beams, self._counts.place(beams), sign)
+                ends = self._counts.place(beams) if sign > 0 else self._counts.ends(beams)
+                self._counts.count(beams, ends, sign)
         hits, visits, corner = self._counts.cells()
         percent = percent_of_counts(
             hits, visits, self._config.occupancy_threshold, self._config.min_pass_through

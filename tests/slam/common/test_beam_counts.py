@@ -26,7 +26,7 @@ def test_a_scan_far_off_is_taken_back_after_the_window_has_moved(device: Compute
     near, far, before = beams_at(0.0, 1), beams_at(700.0, 2), beams_at(-40.0, 3)
     for beams in (near, far, before):
         counts.count(beams, counts.place(beams), 1)
-    counts.count(far, counts.place(far), -1)
+    counts.count(far, counts.ends(far), -1)
     alone = BeamCounts(device)
     for beams in (near, before):
         alone.count(beams, alone.place(beams), 1)
