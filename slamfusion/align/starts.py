@@ -137,7 +137,7 @@ def place_starts(
     if len(given) != 1 or len(inputs) < PAIR:
         return Starts(given)
     (only,) = given
-    # The others at the origin of the frame that a single start is told in.
+    # The others at the origin of the frame that a single start is given in.
     named = named_input(reference, inputs)
     if named is not None and named in inputs and named != only and named not in drive:
         return Starts(given, frozenset({named}))

@@ -338,7 +338,7 @@ class DrawnChunks:
     ) -> DrawnChunks:
         """Draw the judged hits of a drive at the poses (N, 3) of a path at its scans.
 
-        They are laid on a lattice of pages, with tiles wherever a hit is looked up.
+        They are drawn on a lattice of pages, with tiles wherever a hit is looked up.
         """
         kept = is_judged[scans.hit_scans]
         hit_scans = scans.hit_scans[kept]

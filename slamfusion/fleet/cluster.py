@@ -55,7 +55,7 @@ def dask_executor(where: str, processes: int | None, device: str) -> Iterator[Ex
                 f"({' '.join(str(error).split())}); start one with `dask scheduler`, or give "
                 "--scheduler local"
             ) from None
-        except TypeError:  # what Dask says of an address that begins with tls, without certificates
+        except TypeError:  # what Dask says of a tls address without certificates
             raise FleetError(
                 f"{where} wants certificates: set DASK_DISTRIBUTED__COMM__TLS__CA_FILE, "
                 "DASK_DISTRIBUTED__COMM__TLS__CLIENT__CERT and ..._KEY to files"
