@@ -46,7 +46,7 @@ def test_a_record_may_say_its_keys_itself() -> None:
 
 
 def test_the_schema_of_a_record_has_the_keys_that_are_printed() -> None:
-    described = make_schema._described(Measured)
+    described = make_schema.described(Measured)
     assert list(described.__annotations__) == ["share", "file"]
 
 
@@ -61,7 +61,7 @@ class Nameless:
 
 def test_a_field_without_a_text_makes_no_schema() -> None:
     with pytest.raises(ValueError, match=r"Nameless\.size has no text below it"):
-        make_schema._described(Nameless)
+        make_schema.described(Nameless)
 
 
 @dataclass(frozen=True)

@@ -176,7 +176,7 @@ def table_option(function: F) -> F:
         try:
             return function(*arguments, **given)
         finally:
-            written = _write(table_path, settings.tables)
+            written = write_tables(table_path, settings.tables)
             output.print_facts(*(("" if n else "tables", file) for n, file in enumerate(written)))
 
     return option(wrapper)  # type: ignore[return-value]
@@ -188,7 +188,7 @@ def _files(path: Path, _: Mapping[str, Any]) -> list[Path]:
     return [path, *(item for item in path.parent.glob("*") if numbered.fullmatch(item.name))]
 
 
-def _write(path: Path, tables: list[output.Table]) -> list[Path]:
+def write_tables(path: Path, tables: list[output.Table]) -> list[Path]:
     """Write all files or none, and return them: of CSV one a table, of the others one in all."""
     from slamfusion.io import AtomicFiles  # noqa: PLC0415  (OpenCV loads slowly; --help needs none)
 

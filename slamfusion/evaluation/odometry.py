@@ -127,7 +127,7 @@ def poses_by_odometry(
         TrajectoryError: no pose of the estimate has a row.
     """
     if scan_odometry is None:
-        used, rows = _rows_by_stamp(estimate, odometry, tolerance_s)
+        used, rows = rows_by_stamp(estimate, odometry, tolerance_s)
         _refuse_none(used, estimate, odometry, tolerance_s)
     else:
         used, scans = associate(estimate, scan_odometry, tolerance_s)
@@ -152,7 +152,7 @@ def poses_by_odometry(
     )
 
 
-def _rows_by_stamp(
+def rows_by_stamp(
     estimate: Trajectory, odometry: Trajectory, tolerance_s: float
 ) -> tuple[I64, I64]:
     """Return the poses of the estimate that have a row of (nearly) their stamp, and the rows.

@@ -114,7 +114,7 @@ BUILT_IN = tuple(_BUILT_IN)
 
 
 @cache
-def _others() -> Mapping[str, EntryPoint]:
+def other_producers() -> Mapping[str, EntryPoint]:
     """Return the entry points of other packages by name, without importing them."""
     from importlib.metadata import entry_points  # noqa: PLC0415  (loads slowly)
 
@@ -133,15 +133,15 @@ def _others() -> Mapping[str, EntryPoint]:
 
 def producer_names() -> tuple[str, ...]:
     """Return the names of all producers: those built in, then those of other packages."""
-    return (*BUILT_IN, *sorted(_others()))
+    return (*BUILT_IN, *sorted(other_producers()))
 
 
 def producer(name: str) -> Producer:
     """Return a producer's record."""
     if name in _BUILT_IN:
         return _BUILT_IN[name]
-    if name in _others():
-        point = _others()[name]
+    if name in other_producers():
+        point = other_producers()[name]
         try:
             found = point.load()
         except Exception as error:

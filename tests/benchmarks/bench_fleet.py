@@ -107,7 +107,7 @@ def draw_maps(folder: Path, count: int, cells: int, parts: int, seed: int) -> No
     """
     rng = np.random.default_rng((seed, count, cells))
     facts = []
-    for index, (coarse, pose, _) in enumerate(sites._maps_of(0, count, cells // parts, rng)):
+    for index, (coarse, pose, _) in enumerate(sites.maps_of(0, count, cells // parts, rng)):
         split = np.kron(coarse.cells, np.ones((parts, parts), dtype=np.int8))
         grid = OccupancyGrid(split, coarse.resolution / parts, coarse.origin)
         save_map(grid, folder / f"map_{index}")

@@ -159,7 +159,7 @@ def test_real_logs_without_any_is_one_line(tmp_path: Path) -> None:
 def test_a_log_that_is_not_there_is_one_line(tmp_path: Path) -> None:
     done = run(
         "experiment", "cell-models-trajectories", "-o", tmp_path / "out",
-        "--log", "gone.log:gone.relations",
+        "--log", "~/gone.log:gone.relations", env={"HOME": "/home/robot"},
     )  # fmt: skip
-    assert_one_line_failure(done, "gone.log")
+    assert_one_line_failure(done, "/home/robot/gone.log")
     assert not (tmp_path / "out").exists()

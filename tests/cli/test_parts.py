@@ -10,7 +10,6 @@ import click
 import pytest
 
 from slamfusion.cli import slam
-from slamfusion.cli.experiment import _drive_files
 from slamfusion.cli.fuse import command as fuse_command
 from slamfusion.cli.output import one_line, progress_bar
 from slamfusion.cli.paths import FILE
@@ -303,11 +302,6 @@ def test_a_path_may_begin_with_the_home_folder(monkeypatch: pytest.MonkeyPatch) 
     assert FILE.convert("~/map.yaml", None, None) == Path("/home/robot/map.yaml")
     assert FILE.convert("a~b/~", None, None) == Path("a~b/~")
     assert FILE.convert("~nobody-at-all/x", None, None) == Path("~nobody-at-all/x")
-    files = _drive_files("~/a.log:~/a.relations:b.log")
-    assert (files.log, files.relations) == (
-        Path("/home/robot/a.log"),
-        Path("/home/robot/a.relations"),
-    )
 
 
 def test_the_map_of_a_folder_is_the_fused_or_the_only_one(tmp_path: Path) -> None:

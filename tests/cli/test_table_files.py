@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from slamfusion.cli import results
 from slamfusion.cli.output import Table
+from slamfusion.cli.results import write_tables
 
 pytestmark = pytest.mark.once
 
@@ -21,7 +21,7 @@ TABLE = Table(
 
 
 def written(path: Path, *tables: Table) -> list[str]:
-    results._write(path, list(tables))
+    write_tables(path, list(tables))
     return path.read_text(encoding="utf-8").splitlines()
 
 

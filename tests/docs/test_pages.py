@@ -120,12 +120,14 @@ def parse(command: click.Command, words: list[str]) -> None:
     """
     if words[:1] == ["node"]:
         words = words[: words.index("--ros-args")] if "--ros-args" in words else words
-    context = command.make_context(command.name, list(words))
-    if isinstance(command, click.Group):
-        rest = [*context._protected_args, *context.args]
+    if not isinstance(command, click.Group):
+        command.make_context(command.name, list(words))
+        return
+    with click.Context(command) as context:
+        rest = click.Command.parse_args(command, context, list(words))
         _, found, left = command.resolve_command(context, rest)
-        assert found is not None
-        parse(found, left)
+    assert found is not None
+    parse(found, left)
 
 
 def test_modules_and_scripts_that_pages_name_are_there() -> None:

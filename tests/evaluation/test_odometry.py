@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from slamfusion.errors import TrajectoryError
-from slamfusion.evaluation.odometry import _rows_by_stamp, match_odometry, poses_by_odometry
+from slamfusion.evaluation.odometry import match_odometry, poses_by_odometry, rows_by_stamp
 from slamfusion.evaluation.relations import Relations, read_relations, relation_errors
 from slamfusion.geometry import compose_poses, invert_poses
 from slamfusion.io.trajectories import read_trajectory
@@ -193,7 +193,7 @@ def test_rows_by_stamp_are_the_best_in_order(
 ) -> None:
     poses_s, rows_s = sorted(value / 10.0 for value in tenths), sorted(float(v) for v in whole)
     paths = [Trajectory(np.array(s), np.zeros((len(s), 3))) for s in (poses_s, rows_s)]
-    used, rows = _rows_by_stamp(*paths, tolerance_s)
+    used, rows = rows_by_stamp(*paths, tolerance_s)
     assert (np.diff(used) > 0).all()
     assert (np.diff(rows) > 0).all()
     apart = np.abs(np.array(poses_s)[used] - np.array(rows_s)[rows])

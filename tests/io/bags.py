@@ -110,7 +110,7 @@ class Bag:
             for number, (time_s, topic, name, values) in enumerate(self.messages):
                 if topic not in connections:
                     connections[topic] = writer.add_connection(topic, name, typestore=store)
-                message = _MAKERS[name](store.types, is_ros1=is_ros1, number=number, **values)
+                message = MAKERS[name](store.types, is_ros1=is_ros1, number=number, **values)
                 recorded_ns = round((time_s if time_s > 0.0 else 5.0 + number) * 1e9)
                 writer.write(connections[topic], recorded_ns, serialize(message, name))
         return path
@@ -207,7 +207,7 @@ def _transform(
     return types[TF](transforms=[stamped])
 
 
-_MAKERS: dict[str, Any] = {
+MAKERS: dict[str, Any] = {
     SCAN: _scan,
     ODOMETRY: _odometry,
     TF: _transform,

@@ -18,7 +18,7 @@ from slamfusion.errors import LogError
 from slamfusion.io import open_log
 from slamfusion.io.bags.log import BagLog
 from slamfusion.io.bags.storage import zstd
-from tests.io.bags import _MAKERS, SCAN, TEXT, Bag
+from tests.io.bags import MAKERS, SCAN, TEXT, Bag
 from tests.io.test_regular import packed_bag
 
 TURN = 2.0 * math.pi
@@ -222,7 +222,7 @@ def test_messages_as_ros1_writes_them_in_an_mcap_file(tmp_path: Path) -> None:
     store = get_typestore(Stores.ROS1_NOETIC)
     writer = Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP)
     values = Bag().scan(11.0).messages[0][3]
-    message = _MAKERS[SCAN](store.types, is_ros1=True, number=1, **values)
+    message = MAKERS[SCAN](store.types, is_ros1=True, number=1, **values)
     with writer:
         scans = writer.add_connection(
             "/scan", SCAN, typestore=get_typestore(Stores.LATEST), serialization_format="ros1"

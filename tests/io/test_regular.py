@@ -123,7 +123,7 @@ def packed_bag(folder: Path, bag: Any, mode: str, plugin: str = "MCAP") -> Path:
     with writer:
         connection = writer.add_connection("/scan", bags.SCAN, typestore=store)
         for number, (time_s, _, name, values) in enumerate(bag.messages):
-            made = bags._MAKERS[name](store.types, is_ros1=False, number=number, **values)
+            made = bags.MAKERS[name](store.types, is_ros1=False, number=number, **values)
             writer.write(connection, round(time_s * 1e9), store.serialize_cdr(made, name))
     return path
 

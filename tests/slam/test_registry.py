@@ -47,9 +47,9 @@ def offered(monkeypatch: pytest.MonkeyPatch) -> Iterator[types.ModuleType]:
         return [importlib.metadata.EntryPoint(name, at, group) for name, at in places.items()]
 
     monkeypatch.setattr(importlib.metadata, "entry_points", entry_points)
-    registry._others.cache_clear()
+    registry.other_producers.cache_clear()
     yield module
-    registry._others.cache_clear()
+    registry.other_producers.cache_clear()
 
 
 def a_producer(name: str, **others: Any) -> Producer:

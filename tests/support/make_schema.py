@@ -116,7 +116,7 @@ class _WithoutTitles(GenerateJsonSchema):
 def make_schema() -> dict[str, Any]:
     """Return the schema of all documents."""
     asked = {
-        kind: TypeAdapter(_described(kind))
+        kind: TypeAdapter(described(kind))
         for kinds in (*DOCUMENTS.values(), (FailureDocument, *WRITTEN))
         for kind in kinds
     }
@@ -190,7 +190,7 @@ def _shorten(schema: Any) -> None:
 
 
 @cache
-def _described(kind: type) -> Any:
+def described(kind: type) -> Any:
     """Return a TypedDict with the keys of a record; they have their texts and admit no others.
 
     Raises:
@@ -251,7 +251,7 @@ def _copied(hint: Any) -> Any:
     """Return a type with every record in it replaced by its described copy."""
     hint = {Path: str, RunConfig: Mapping[str, Any]}.get(hint) or _keys_of(hint)
     if typing.is_typeddict(hint) or is_dataclass(hint):
-        return _described(hint)
+        return described(hint)
     origin, arguments = typing.get_origin(hint), typing.get_args(hint)
     if origin is None or origin is typing.Literal:
         return hint

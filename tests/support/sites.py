@@ -114,7 +114,7 @@ def many_maps(count: int, seed: int, cells: int = 700) -> ManyMaps:
     rng = np.random.default_rng((seed, count, cells))
     strangers = int(STRANGER_SHARE * count)
     sizes = [count - strangers, *[2] * (strangers // 2), *[1] * (strangers % 2)]
-    drawn = [item for n, size in enumerate(sizes) for item in _maps_of(n, size, cells, rng)]
+    drawn = [item for n, size in enumerate(sizes) for item in maps_of(n, size, cells, rng)]
     order = rng.permutation(len(drawn))
     drawn = [drawn[index] for index in order]
     grids = tuple(grid.with_name(f"map {n}") for n, (grid, _, _) in enumerate(drawn))
@@ -130,7 +130,7 @@ def many_maps(count: int, seed: int, cells: int = 700) -> ManyMaps:
     )
 
 
-def _maps_of(
+def maps_of(
     number: int, count: int, cells: int, rng: np.random.Generator
 ) -> list[tuple[OccupancyGrid, Pose2, int]]:
     """Draw a building and maps of it: the map, the pose of its frame, the building's number."""
