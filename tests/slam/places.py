@@ -14,16 +14,14 @@ import numpy.typing as npt
 
 from slamfusion.compute import ComputeDevice, NumpyDevice
 from slamfusion.config import GraphConfig
-from slamfusion.geometry import Pose2, wrap_angle
+from slamfusion.geometry import Pose2, row_of, wrap_angle
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io.log import LogScan
 from slamfusion.json_values import plain
-from slamfusion.pose_graph.least_squares import at_once
 from slamfusion.scan import LaserScan
 from slamfusion.slam.common.mapper import Mapper
 from slamfusion.slam.common.matcher import ScanOnTiles, response_information
 from slamfusion.slam.graph import GraphSlam
-from slamfusion.slam.graph.map_graph import solve_constraints
 from slamfusion.slam.graph.submap import Submap
 from slamfusion.trajectory import Trajectory
 from tests.slam.drives import CELL_M
@@ -266,23 +264,13 @@ def place_of(device: ComputeDevice, cells: U8, poses: list[Pose2]) -> Place:
     return place
 
 
-def false_closures(slam: GraphSlam, truth: list[Pose2]) -> list[tuple[int, int]]:
-    """Return closures that are believed and say something else of two nodes than the truth."""
-    stamps = slam.trajectory().stamps_s.tolist()
-    first = {node: stamps.index(stamp) for node, stamp in slam._path.node_stamps().items()}
-    graph, found = slam._graph, []
-    solved = at_once(solve_constraints)(graph.poses, graph.constraints)
-    for edge, weight in zip(graph.constraints, solved.weights, strict=True):
-        step = truth[first[edge.start]].inverse().compose(truth[first[edge.end]])
-        wrong = edge.motion - (step.x, step.y, step.yaw_rad)
-        wrong[2] = wrap_angle(float(wrong[2]))
-        # What a closure itself says it does not know is no error.
-        sigmas = math.sqrt(wrong @ edge.information @ wrong)
-        if (
-            edge.is_closure
-            and weight > 0.5
-            and sigmas > 6.0
-            and max(math.hypot(*wrong[:2]), 5 * abs(wrong[2])) > 0.35
-        ):
-            found.append((edge.start, edge.end))
+def false_closures(slam: GraphSlam, truth: list[Pose2]) -> list[tuple[float, float]]:
+    """Return the stamps of accepted closures that contradict the truth."""
+    at = dict(zip(slam.trajectory().stamps_s.tolist(), truth, strict=True))
+    found = []
+    for one in slam.closures():
+        step = at[one.start_s].inverse().compose(at[one.end_s])
+        x, y, turn = row_of(one.motion) - row_of(step)
+        if one.weight > 0.5 and max(math.hypot(x, y), 5 * abs(wrap_angle(turn))) > 0.35:
+            found.append((one.start_s, one.end_s))
     return found

@@ -120,7 +120,7 @@ class SavedMapper(Stateful):
         record = {"state": state, **self.owner()}
         arrays: dict[str, Any] = packed
         arrays[RECORD] = np.frombuffer(json.dumps(record).encode(), dtype=np.uint8)
-        arrays[DIGEST] = np.frombuffer(_digest(arrays), dtype=np.uint8)
+        arrays[DIGEST] = np.frombuffer(digest(arrays), dtype=np.uint8)
         file = io.BytesIO()
         np.savez(file, **arrays)
         write_atomic(path, file.getbuffer())
@@ -240,8 +240,8 @@ def _read(path: Path, owner: dict[str, Any]) -> tuple[Any, Arrays]:
     """Return the packed state of a file, which must be of this owner."""
     try:
         arrays = _arrays(path)
-        digest = arrays.pop(DIGEST, np.zeros(0, dtype=np.uint8)).tobytes()
-        is_whole = digest == _digest(arrays)
+        found_digest = arrays.pop(DIGEST, np.zeros(0, dtype=np.uint8)).tobytes()
+        is_whole = found_digest == digest(arrays)
         record: dict[str, Any] = json.loads(arrays.pop(RECORD).tobytes())
         found = record["name"], record["format"]
     except (MemoryBudgetError, _NoFileError):
@@ -283,13 +283,13 @@ def _arrays(path: Path) -> Arrays:
     return arrays
 
 
-def _digest(arrays: Mapping[str, npt.NDArray[Any]]) -> bytes:
+def digest(arrays: Mapping[str, npt.NDArray[Any]]) -> bytes:
     """Return the SHA-256 of named arrays: names, kinds, shapes and values."""
-    digest = hashlib.sha256()
+    hashed = hashlib.sha256()
     for name, array in sorted(arrays.items()):
-        digest.update(f"{name} {array.dtype.str} {array.shape}\n".encode())
-        digest.update(array.tobytes())
-    return digest.digest()
+        hashed.update(f"{name} {array.dtype.str} {array.shape}\n".encode())
+        hashed.update(array.tobytes())
+    return hashed.digest()
 
 
 def _flat(values: dict[str, Any], where: str = "") -> dict[str, Any]:

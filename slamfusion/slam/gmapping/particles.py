@@ -174,7 +174,7 @@ class ParticleMaps(Stateful):
         self.tiles = SharedTileMaps(device, count, pools)
         self._config = config
         self._device = device
-        self._field_rule = self._make_field_rule()
+        self.field_rule = self._make_field_rule()
 
     @property
     def field(self) -> DeviceArray[Any]:
@@ -227,7 +227,7 @@ class ParticleMaps(Stateful):
         maps.make_writable(written)
         pages, pools = maps.page_tables_of(alive), maps.pools
         layers = pools["counts"], pools["sums"], pools["field"]
-        if device.count_and_settle(*layers, pages, touched, scan, self._field_rule):
+        if device.count_and_settle(*layers, pages, touched, scan, self.field_rule):
             halve_counts(device, pools)
 
     def _make_field_rule(self) -> FieldRule:

@@ -20,7 +20,7 @@ from slamfusion.config import GmappingConfig, GraphConfig
 from slamfusion.errors import SlamFusionError
 from slamfusion.geometry import Pose2
 from slamfusion.io.log import Skips
-from slamfusion.slam.common.state import DIGEST, RECORD, _digest, pack, unpack
+from slamfusion.slam.common.state import DIGEST, RECORD, digest, pack, unpack
 from slamfusion.slam.gmapping.slam import Gmapping
 from slamfusion.slam.graph.slam import GraphSlam
 from tests.slam.drives import drive
@@ -65,7 +65,7 @@ def write_parts(path: Path, record: Any, arrays: Arrays) -> None:
     """Write a record and arrays with the digest that belongs to them."""
     text = np.frombuffer(json.dumps(record).encode(), dtype=np.uint8)
     whole: dict[str, Any] = {**arrays, RECORD: text}
-    whole[DIGEST] = np.frombuffer(_digest(whole), dtype=np.uint8)
+    whole[DIGEST] = np.frombuffer(digest(whole), dtype=np.uint8)
     with path.open("wb") as file:
         np.savez(file, **whole)
 

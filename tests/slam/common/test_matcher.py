@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 from slamfusion.compute import NumpyDevice
-from slamfusion.config import TinySlamConfig
 from slamfusion.geometry import Pose2
 from slamfusion.slam.common.matcher import PoseHypothesis, ScanOnTiles, search_pose, spread_of
-from slamfusion.slam.tinyslam import TinySlam
+from slamfusion.slam.graph.submap import Submap
 from tests.slam.drives import scan_at, true_poses
 
 POSE = true_poses(1)[0]
@@ -20,11 +19,10 @@ POSE = true_poses(1)[0]
 @pytest.fixture(scope="module")
 def mapped() -> ScanOnTiles:
     """A scan over the map that it has made itself."""
-    config = TinySlamConfig()
-    slam = TinySlam(config, NumpyDevice())
+    submap = Submap(NumpyDevice(), 0, 0.05, 0.1)
     scan = scan_at(POSE, 0.0)
-    slam.feed(scan, POSE)
-    return ScanOnTiles(NumpyDevice(), slam._walls(), scan.points(), config.matcher.beams)
+    submap.insert(scan.points(), (scan.mount.x, scan.mount.y), POSE)
+    return ScanOnTiles(NumpyDevice(), submap.walls(), scan.points(), 180)
 
 
 def at(x: float, y: float, yaw: float, loss: float = 0.0, wide: float = 1.0) -> PoseHypothesis:

@@ -113,9 +113,9 @@ def carried(cells: U8, *ways: list[tuple[float, float]]) -> Drive:
     return Drive(cells, log, truth, cuts[1:])
 
 
-def false_ties(slam: GraphSlam, truth: list[Pose2]) -> list[tuple[int, int]]:
+def false_ties(slam: GraphSlam, truth: list[Pose2]) -> list[tuple[float, float]]:
     """Return false closures; odometry across a loss, from one node to the next, is none."""
-    return [(start, end) for start, end in false_closures(slam, truth) if end != start + 1]
+    return [(start, end) for start, end in false_closures(slam, truth) if end - start > 2.0]
 
 
 # -- carried to where it has never been ------------------------------------------------------------
