@@ -16,6 +16,13 @@ _NO_SPREAD_M = 1e-9
 _LEVER_M = 3.0
 
 
+B8: TypeAlias = npt.NDArray[np.bool_]
+I8: TypeAlias = npt.NDArray[np.int8]
+U8: TypeAlias = npt.NDArray[np.uint8]
+I32: TypeAlias = npt.NDArray[np.int32]
+U32: TypeAlias = npt.NDArray[np.uint32]
+I64: TypeAlias = npt.NDArray[np.int64]
+F32: TypeAlias = npt.NDArray[np.float32]
 F64: TypeAlias = npt.NDArray[np.float64]
 T = TypeVar("T", bound=np.generic)
 

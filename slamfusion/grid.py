@@ -13,11 +13,10 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
 from slamfusion.config import NormalizeConfig
 from slamfusion.errors import GridError
-from slamfusion.geometry import F64, Pose2
+from slamfusion.geometry import F64, I8, I64, Pose2
 
 FREE = 0
 OCCUPIED = 100
@@ -104,7 +103,7 @@ def row_parts(shape: tuple[int, int]) -> Iterator[slice]:
         yield slice(first, first + step)
 
 
-def known_box(cells: npt.NDArray[np.int8]) -> CellBox | None:
+def known_box(cells: I8) -> CellBox | None:
     """Return the smallest box with all known cells of (H, W) int8, or None without any."""
     height, width = cells.shape
     has_row, has_col = np.zeros(height, dtype=np.bool_), np.zeros(width, dtype=np.bool_)
@@ -118,7 +117,7 @@ def known_box(cells: npt.NDArray[np.int8]) -> CellBox | None:
     return CellBox(int(rows[0]), int(cols[0]), int(rows[-1]) + 1, int(cols[-1]) + 1)
 
 
-def trinary_cells(cells: npt.NDArray[np.int8], thresholds: NormalizeConfig) -> npt.NDArray[np.int8]:
+def trinary_cells(cells: I8, thresholds: NormalizeConfig) -> I8:
     """Return the classes of cells: -1 unknown, 0 free, 1 occupied.
 
     Source: [F16], the normalisation step (100 becomes 1).
@@ -148,7 +147,7 @@ class OccupancyGrid:
         GridError: wrong shape, dtype, value range, resolution or origin.
     """
 
-    cells: npt.NDArray[np.int8]
+    cells: I8
     resolution: float
     origin: Pose2 = IDENTITY
     name: str = "map"
@@ -212,12 +211,12 @@ class OccupancyGrid:
         origin = box_origin(self.origin, self.resolution, box)
         return OccupancyGrid(cells, self.resolution, origin, self.name)
 
-    def cell_centres(self, rows: npt.NDArray[np.int64], cols: npt.NDArray[np.int64]) -> F64:
+    def cell_centres(self, rows: I64, cols: I64) -> F64:
         """Return the map-frame positions (N, 2), metres, of the centres of cells."""
         own = np.stack(((cols + 0.5) * self.resolution, (rows + 0.5) * self.resolution), axis=-1)
         return self.origin.transform(own)
 
-    def cell_indices(self, points: F64) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    def cell_indices(self, points: F64) -> tuple[I64, I64]:
         """Return rows and columns of the cells under map-frame points (N, 2), metres.
 
         Indices may be outside the grid.

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from slamfusion.config import LaserMounting
 from slamfusion.errors import ScanError
-from slamfusion.geometry import F64, Pose2, transform_points
+from slamfusion.geometry import B8, F32, F64, Pose2, transform_points
 from slamfusion.grid import IDENTITY
 
 
@@ -40,7 +40,7 @@ class LaserScan:
     """
 
     stamp_s: float
-    ranges: npt.NDArray[np.float32]
+    ranges: F32
     angle_min_rad: float
     angle_increment_rad: float
     range_min_m: float
@@ -78,13 +78,13 @@ class LaserScan:
         steps = np.arange(len(self), dtype=np.float64)
         return np.asarray(self.angle_min_rad + self.angle_increment_rad * steps)
 
-    def is_hit(self, usable_m: float = math.inf) -> npt.NDArray[np.bool_]:
+    def is_hit(self, usable_m: float = math.inf) -> B8:
         """Return which beams hit something below ``usable_m``, (N,)."""
         with np.errstate(invalid="ignore"):
             hit = (self.ranges >= self.range_min_m) & (self.ranges > 0.0)
             return np.asarray(hit & (self.ranges < min(self.range_max_m, usable_m)))
 
-    def is_clear(self) -> npt.NDArray[np.bool_]:
+    def is_clear(self) -> B8:
         """Return which beams have no return up to ``range_max_m``, (N,): +inf or over-range."""
         with np.errstate(invalid="ignore"):
             return np.asarray(self.ranges >= self.range_max_m)
@@ -99,9 +99,7 @@ class LaserScan:
         return self
 
     def points(
-        self,
-        beams: npt.NDArray[np.bool_] | None = None,
-        ranges_m: npt.NDArray[np.floating] | None = None,
+        self, beams: B8 | None = None, ranges_m: npt.NDArray[np.floating] | None = None
     ) -> F64:
         """Return the ends of beams in the robot's base frame at the stamp, (M, 2) metres.
 

@@ -9,13 +9,13 @@ import numpy as np
 import numpy.typing as npt
 
 from slamfusion.errors import TrajectoryError
-from slamfusion.geometry import F64, Pose2, moved_poses
+from slamfusion.geometry import B8, F64, I64, Pose2, moved_poses
 
 # Stamps with a smaller difference are equal, seconds: files round to milliseconds.
 SAME_STAMP_S = 1e-3
 
 
-def nearest_stamps(stamps_s: F64, wanted_s: npt.ArrayLike) -> npt.NDArray[np.int64]:
+def nearest_stamps(stamps_s: F64, wanted_s: npt.ArrayLike) -> I64:
     """Return the indices of the stamps (N,) (sorted, s) nearest to times; the earlier on a tie."""
     wanted = np.asarray(wanted_s, dtype=np.float64)
     last = len(stamps_s) - 1
@@ -37,7 +37,7 @@ def clock_advice(own_s: F64, other_s: F64) -> str:
     )
 
 
-def flag_runs(flags: npt.NDArray[np.bool_]) -> Iterator[slice]:
+def flag_runs(flags: B8) -> Iterator[slice]:
     """Yield the runs of set flags (N,) in order."""
     edges = np.flatnonzero(np.diff(np.r_[0, flags.astype(np.int8), 0]))
     for start, stop in edges.reshape(-1, 2).tolist():
@@ -94,15 +94,13 @@ class Trajectory:
         x, y, yaw = self.poses[index]
         return Pose2(float(x), float(y), float(yaw))
 
-    def nearest(self, stamps_s: npt.ArrayLike) -> npt.NDArray[np.int64]:
+    def nearest(self, stamps_s: npt.ArrayLike) -> I64:
         """Return the index of the pose nearest to each time; TrajectoryError without poses."""
         if len(self) == 0:
             raise TrajectoryError(f"{self.name}: has no pose")
         return nearest_stamps(self.stamps_s, stamps_s)
 
-    def matches(
-        self, stamps_s: npt.ArrayLike, within_s: float = SAME_STAMP_S
-    ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.bool_]]:
+    def matches(self, stamps_s: npt.ArrayLike, within_s: float = SAME_STAMP_S) -> tuple[I64, B8]:
         """Return the pose nearest in time for each time, and whether it is near enough.
 
         Args:

@@ -14,12 +14,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import scipy
 
 from slamfusion.config import NormalizeConfig
 from slamfusion.errors import MapFileError, shown
-from slamfusion.geometry import Pose2
+from slamfusion.geometry import F64, I8, Pose2
 from slamfusion.grid import IDENTITY, UNKNOWN, CellBox, OccupancyGrid, trinary_cells
 from slamfusion.io.files import read_small
 from slamfusion.io.yaml_file import read_yaml
@@ -34,12 +33,8 @@ _BORDER_CELLS = 1e-6
 
 
 def sample_on_lattice(
-    classes: npt.NDArray[np.int8],
-    grid: OccupancyGrid,
-    lattice: OccupancyGrid,
-    box: CellBox,
-    transform: Pose2,
-) -> npt.NDArray[np.int8]:
+    classes: I8, grid: OccupancyGrid, lattice: OccupancyGrid, box: CellBox, transform: Pose2
+) -> I8:
     """Read a map at the cell centres of another map's lattice, by nearest cell.
 
     Args:
@@ -69,9 +64,7 @@ def sample_on_lattice(
     return sampled
 
 
-def wall_centres(
-    classes: npt.NDArray[np.int8], grid: OccupancyGrid, transform: Pose2 = IDENTITY
-) -> npt.NDArray[np.float64]:
+def wall_centres(classes: I8, grid: OccupancyGrid, transform: Pose2 = IDENTITY) -> F64:
     """Return the centres (N, 2) of occupied cells (class 1), in metres, moved by ``transform``."""
     rows, cols = np.nonzero(classes == 1)
     return transform.transform(grid.cell_centres(rows, cols))

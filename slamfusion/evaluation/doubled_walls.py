@@ -14,12 +14,11 @@ import numpy as np
 import numpy.typing as npt
 
 from slamfusion.config import NormalizeConfig
+from slamfusion.geometry import B8, F32, I8, I64
 from slamfusion.grid import CellBox, OccupancyGrid, trinary_cells
 
 # Rows and columns of a part of an array.
 Window = tuple[slice, slice]
-Bools = npt.NDArray[np.bool_]
-F32 = npt.NDArray[np.float32]
 
 _DEFAULT_NORMALIZE = NormalizeConfig()
 # Tile size; tiles without walls are skipped.
@@ -42,7 +41,7 @@ PARALLEL_DEG = 20.0
 
 
 def doubled_wall_share(
-    grid: OccupancyGrid | Bools, *, normalize: NormalizeConfig = _DEFAULT_NORMALIZE
+    grid: OccupancyGrid | B8, *, normalize: NormalizeConfig = _DEFAULT_NORMALIZE
 ) -> float:
     """Return the share of wall cells that have a parallel wall ``NEAR`` to ``FAR`` cells away.
 
@@ -67,9 +66,7 @@ def doubled_wall_share(
     return int(np.count_nonzero(doubled)) / considered if considered else 0.0
 
 
-def fused_doubled_shares(
-    fused: npt.NDArray[np.int8], inputs: Iterable[tuple[Bools, CellBox]]
-) -> tuple[float, float]:
+def fused_doubled_shares(fused: I8, inputs: Iterable[tuple[B8, CellBox]]) -> tuple[float, float]:
     """Return the shares of fused wall cells that are doubled, and doubled in no input.
 
     A narrow passage also has close parallel walls, so the first share alone does not show a wrong
@@ -93,7 +90,7 @@ def fused_doubled_shares(
     return share, int(np.count_nonzero(doubled)) / considered
 
 
-def _take_doubled(doubled: Bools, known: Bools, box: CellBox) -> None:
+def _take_doubled(doubled: B8, known: B8, box: CellBox) -> None:
     """Clear doubled cells near doubled walls of an input, in place."""
     for tile, wide, inner in _tiles(doubled.shape):
         if not doubled[tile].any():
@@ -111,14 +108,14 @@ def _take_doubled(doubled: Bools, known: Bools, box: CellBox) -> None:
         doubled[tile] &= ~_grown(_doubled(walls, _grown(asked))[1])[inner]
 
 
-def _grown(cells: Bools) -> Bools:
+def _grown(cells: B8) -> B8:
     """Return the cells dilated by two steps along rows and columns."""
     cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
     grown = cv2.dilate(np.ascontiguousarray(cells).view(np.uint8), cross, iterations=2)
     return np.asarray(grown).view(np.bool_)
 
 
-def _count(walls: Bools) -> tuple[int, Bools]:
+def _count(walls: B8) -> tuple[int, B8]:
     """Return the number of wall cells without specks, and the doubled ones."""
     considered, doubled = 0, np.zeros(walls.shape, dtype=np.bool_)
     for tile, wide, inner in _tiles(walls.shape):
@@ -132,7 +129,7 @@ def _count(walls: Bools) -> tuple[int, Bools]:
     return considered, doubled
 
 
-def _doubled(walls: Bools, asked: Bools) -> tuple[Bools, Bools]:
+def _doubled(walls: B8, asked: B8) -> tuple[B8, B8]:
     """Return which of the asked (H, W) cells are walls, and which of these are doubled."""
     _, labels, stats, _ = cv2.connectedComponentsWithStats(walls.astype(np.uint8), connectivity=8)
     is_large = np.asarray(stats)[:, cv2.CC_STAT_AREA] >= LEAST_GROUP
@@ -185,7 +182,7 @@ def _smoothed(values: F32, sigma: float) -> F32:
     return np.asarray(blurred, dtype=np.float32)
 
 
-def _next_wall(drawn: F32, cells: npt.NDArray[np.intp], ways: F32) -> npt.NDArray[np.int64]:
+def _next_wall(drawn: F32, cells: npt.NDArray[np.intp], ways: F32) -> I64:
     """Walk along rays to the next wall.
 
     Args:
@@ -235,7 +232,7 @@ def _tiles(shape: tuple[int, ...]) -> Iterator[tuple[Window, Window, Window]]:
             yield tile, wide, (rows, cols)
 
 
-def _walls(grid: OccupancyGrid | Bools, normalize: NormalizeConfig) -> Bools:
+def _walls(grid: OccupancyGrid | B8, normalize: NormalizeConfig) -> B8:
     if isinstance(grid, OccupancyGrid):
         classes = trinary_cells(grid.cells, normalize)
         return np.equal(classes, 1, out=classes.view(np.bool_))

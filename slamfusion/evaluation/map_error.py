@@ -12,14 +12,13 @@ from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from slamfusion.config import NormalizeConfig
 from slamfusion.errors import GridError
 from slamfusion.evaluation import wall_faces
 from slamfusion.evaluation.distances import sample_on_lattice, wall_centres
 from slamfusion.evaluation.doubled_walls import doubled_wall_share
-from slamfusion.geometry import Pose2
+from slamfusion.geometry import B8, F32, I8, I64, Pose2
 from slamfusion.grid import (
     FREE,
     IDENTITY,
@@ -62,7 +61,7 @@ _SSIM_WINDOW_CELLS = 11
 
 
 def maps_of_differences(
-    differences: Mapping[str, npt.NDArray[np.int8]], resolution: float, origin: Pose2
+    differences: Mapping[str, I8], resolution: float, origin: Pose2
 ) -> tuple[OccupancyGrid, list[OccupancyGrid]]:
     """Return the truth and the maps as far as their differences determine them.
 
@@ -132,7 +131,7 @@ class MapError:
     """Cells by the truth's class, then the map's: unknown, free, occupied."""
     transform: Pose2 = field(metadata=POSE)
     """Transform from the map's frame into the truth's."""
-    difference: npt.NDArray[np.int8] = field(repr=False)
+    difference: I8 = field(repr=False)
     """(H, W), read-only, one of the module's codes for each cell of the truth's known box."""
     resolution: float = field(repr=False)
     """Metres per cell of ``difference``."""
@@ -232,7 +231,7 @@ def compare_to_truth(
     )
 
 
-def _within(mask: npt.NDArray[np.bool_], cells: float) -> npt.NDArray[np.bool_]:
+def _within(mask: B8, cells: float) -> B8:
     """Return the cells (H, W) whose centre is within a distance of a set cell."""
     if not mask.any():
         return mask
@@ -240,9 +239,7 @@ def _within(mask: npt.NDArray[np.bool_], cells: float) -> npt.NDArray[np.bool_]:
     return np.asarray(away <= cells + 1e-3)
 
 
-def _confusion(
-    expected: npt.NDArray[np.int8], found: npt.NDArray[np.int8]
-) -> npt.NDArray[np.int64]:
+def _confusion(expected: I8, found: I8) -> I64:
     """Count the (truth, map) pairs of classes -1, 0, 1 into a (3, 3) table, read-only."""
     codes = (expected + 1) * 3 + (found + 1)
     table = np.bincount(codes.ravel().view(np.uint8), minlength=9).reshape(3, 3).astype(np.int64)
@@ -250,20 +247,20 @@ def _confusion(
     return table
 
 
-def _f16_error(confusion: npt.NDArray[np.int64]) -> float:
+def _f16_error(confusion: I64) -> float:
     """Return sqrt(sum((T - M)^2)), from the confusion table."""
     classes = np.arange(3)
     squares = (classes[:, None] - classes[None, :]) ** 2
     return math.sqrt(int((confusion * squares).sum()))
 
 
-def _intersection_over_union(confusion: npt.NDArray[np.int64], index: int) -> float | None:
+def _intersection_over_union(confusion: I64, index: int) -> float | None:
     both = int(confusion[index, index])
     either = int(confusion[index].sum() + confusion[:, index].sum()) - both
     return both / either if either else None
 
 
-def _mean_ssim(expected: npt.NDArray[np.int8], found: npt.NDArray[np.int8]) -> float:
+def _mean_ssim(expected: I8, found: I8) -> float:
     """Return the mean structural similarity of two trinary images mapped to 0, 0.5, 1.
 
     The image is mirrored at its border, so that small maps have a value, too.
@@ -285,7 +282,7 @@ def _mean_ssim(expected: npt.NDArray[np.int8], found: npt.NDArray[np.int8]) -> f
     return float(similarity.mean(dtype=np.float64))
 
 
-def _window_mean(image: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+def _window_mean(image: F32) -> F32:
     window = (_SSIM_WINDOW_CELLS, _SSIM_WINDOW_CELLS)
     blurred = cv2.GaussianBlur(
         image, window, sigmaX=_SSIM_SIGMA_CELLS, borderType=cv2.BORDER_REFLECT

@@ -10,16 +10,21 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 import scipy
 
 from slamfusion.errors import TrajectoryError
 from slamfusion.evaluation.trajectory_error import associate
-from slamfusion.geometry import F64, Pose2, compose_poses, fit_motion, invert_poses, moved_poses
+from slamfusion.geometry import (
+    F64,
+    I64,
+    Pose2,
+    compose_poses,
+    fit_motion,
+    invert_poses,
+    moved_poses,
+)
 from slamfusion.grid import IDENTITY
 from slamfusion.trajectory import Trajectory
-
-I64 = npt.NDArray[np.int64]
 
 # Scans tried as anchors, and scans that score each trial. The rounding of one heading displaces the
 # far end of a path, so the search distance of the scores is larger.

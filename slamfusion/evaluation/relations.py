@@ -11,11 +11,10 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from slamfusion.errors import TrajectoryError
 from slamfusion.evaluation.statistics import ErrorStatistics, mean_interval
-from slamfusion.geometry import compose_poses, invert_poses, wrap_angles
+from slamfusion.geometry import B8, F64, compose_poses, invert_poses, wrap_angles
 from slamfusion.io.lines import ROW_BYTES, strip_gz, text_lines
 from slamfusion.trajectory import Trajectory
 
@@ -41,8 +40,8 @@ class Relations:
         TrajectoryError: shapes that do not fit, or values that are not finite.
     """
 
-    stamps_s: npt.NDArray[np.float64]
-    motions: npt.NDArray[np.float64]
+    stamps_s: F64
+    motions: F64
     name: str = "relations"
 
     def __post_init__(self) -> None:
@@ -91,11 +90,11 @@ class RelationErrors:
     """The trajectory."""
     relations: str = field(repr=False)
     """Name of the relations."""
-    stamps_s: npt.NDArray[np.float64] = field(repr=False)
+    stamps_s: F64 = field(repr=False)
     """(M, 2), the times of the relations used."""
-    translation_m: npt.NDArray[np.float64] = field(repr=False)
+    translation_m: F64 = field(repr=False)
     """(M,), length of the remaining translation."""
-    rotation_rad: npt.NDArray[np.float64] = field(repr=False)
+    rotation_rad: F64 = field(repr=False)
     """(M,), size of the remaining rotation, 0 to pi."""
 
     def __post_init__(self) -> None:
@@ -105,7 +104,7 @@ class RelationErrors:
             relations_used=len(self.translation_m),
         )
 
-    def is_revisit(self) -> npt.NDArray[np.bool_]:
+    def is_revisit(self) -> B8:
         """Return which relations join two visits of one place, (M,): over ``REVISIT_S`` apart."""
         return np.asarray(np.abs(self.stamps_s[:, 1] - self.stamps_s[:, 0]) > REVISIT_S)
 

@@ -12,6 +12,8 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
+from slamfusion.geometry import F64
+
 # Bootstrap samples, samples in memory at once, and the seed.
 DRAWS, DRAWS_AT_ONCE, SEED = 4000, 250, 0
 # Differences that vary by less than this share of the values are rounding.
@@ -145,7 +147,7 @@ def correct_by_holm(p_values: Sequence[float]) -> list[float]:
     return [float(p_value) for p_value in corrected]
 
 
-def _checked(values: npt.ArrayLike) -> npt.NDArray[np.float64]:
+def _checked(values: npt.ArrayLike) -> F64:
     """Return the values as a row; ValueError if empty or not finite."""
     row = np.asarray(values, dtype=np.float64).ravel()
     if row.size == 0 or not np.isfinite(row).all():

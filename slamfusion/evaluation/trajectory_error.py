@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 import scipy
 
 from slamfusion.config import TrajectoryConfig
@@ -17,6 +16,7 @@ from slamfusion.errors import TrajectoryError
 from slamfusion.evaluation.statistics import ErrorStatistics
 from slamfusion.geometry import (
     F64,
+    I64,
     Pose2,
     compose_poses,
     fit_motion,
@@ -181,21 +181,21 @@ class TrajectoryErrors:
     """The estimate."""
     truth: str = field(repr=False)
     """The true trajectory."""
-    aligned: npt.NDArray[np.float64] = field(repr=False)
+    aligned: F64 = field(repr=False)
     """(M, 3), the estimate's matched poses in the frame of the truth."""
-    stamps_s: npt.NDArray[np.float64] = field(repr=False)
+    stamps_s: F64 = field(repr=False)
     """(M,), their times."""
-    travelled_m: npt.NDArray[np.float64] = field(repr=False)
+    travelled_m: F64 = field(repr=False)
     """(M,), true path from the first matched pose to each."""
-    translation_m: npt.NDArray[np.float64] = field(repr=False)
+    translation_m: F64 = field(repr=False)
     """(M,), absolute error of each place."""
-    rotation_rad: npt.NDArray[np.float64] = field(repr=False)
+    rotation_rad: F64 = field(repr=False)
     """(M,), absolute error of each heading, 0 to pi."""
-    relative_translation_m: npt.NDArray[np.float64] = field(repr=False)
+    relative_translation_m: F64 = field(repr=False)
     """(K,), error of the motion between the poses of each pair."""
-    relative_rotation_rad: npt.NDArray[np.float64] = field(repr=False)
+    relative_rotation_rad: F64 = field(repr=False)
     """(K,), the same of the turn, 0 to pi."""
-    relative_travelled_m: npt.NDArray[np.float64] = field(repr=False)
+    relative_travelled_m: F64 = field(repr=False)
     """(K,), true path up to the end of each pair."""
 
 
@@ -266,9 +266,7 @@ def trajectory_errors(
     )
 
 
-def associate(
-    first: Trajectory, second: Trajectory, tolerance_s: float
-) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+def associate(first: Trajectory, second: Trajectory, tolerance_s: float) -> tuple[I64, I64]:
     """Return indices (M,) into both of poses that are each other's nearest in time."""
     there, is_near = second.matches(first.stamps_s, tolerance_s)
     back = first.nearest(second.stamps_s)
@@ -278,9 +276,7 @@ def associate(
     return own[paired], there[paired]
 
 
-def _pairs(
-    progress: npt.NDArray[np.float64], delta: float
-) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+def _pairs(progress: F64, delta: float) -> tuple[I64, I64]:
     """Return the ends of the pairs: each ends once at least ``delta`` was made since its start."""
     ends = [0]
     for index, value in enumerate(progress):

@@ -16,7 +16,7 @@ import scipy
 
 from slamfusion.config import NormalizeConfig
 from slamfusion.evaluation.distances import wall_centres
-from slamfusion.geometry import F64, Pose2
+from slamfusion.geometry import B8, F64, I8, Pose2
 from slamfusion.grid import UNKNOWN, OccupancyGrid, trinary_cells
 
 # A wall exactly the tolerance away counts, whatever the rounding of the poses.
@@ -128,7 +128,7 @@ class WallThickness:
     """95th percentile, metres."""
 
 
-def face_cells(classes: npt.NDArray[np.int8]) -> npt.NDArray[np.bool_]:
+def face_cells(classes: I8) -> B8:
     """Mark the faces of walls, (H, W) bool: occupied cells that share a side with a free one.
 
     Args:
@@ -140,11 +140,7 @@ def face_cells(classes: npt.NDArray[np.int8]) -> npt.NDArray[np.bool_]:
 
 
 def compare_faces(
-    classes: npt.NDArray[np.int8],
-    grid: OccupancyGrid,
-    transform: Pose2,
-    true_classes: npt.NDArray[np.int8],
-    truth: OccupancyGrid,
+    classes: I8, grid: OccupancyGrid, transform: Pose2, true_classes: I8, truth: OccupancyGrid
 ) -> WallFaces:
     """Compare the faces of a map's walls with the true ones.
 
@@ -190,10 +186,10 @@ def wall_thickness(
 
 
 def outside_area(
-    classes: npt.NDArray[np.int8],
+    classes: I8,
     grid: OccupancyGrid,
     transform: Pose2,
-    true_classes: npt.NDArray[np.int8],
+    true_classes: I8,
     truth: OccupancyGrid,
     *,
     margin_m: float,
@@ -225,7 +221,7 @@ def outside_area(
     return int(np.count_nonzero(~within)) * grid.resolution**2
 
 
-def _run_behind(walls: npt.NDArray[np.bool_], row_step: int, col_step: int) -> npt.NDArray[np.int_]:
+def _run_behind(walls: B8, row_step: int, col_step: int) -> npt.NDArray[np.int_]:
     """Return the length of the unbroken run of wall cells from each in one direction."""
     if row_step == 0:
         return _run_behind(walls.T, col_step, 0).T

@@ -13,11 +13,12 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
 from slamfusion.errors import LogError, TrajectoryError
 from slamfusion.geometry import (
+    B8,
     F64,
+    I64,
     Pose2,
     blend_poses,
     compose_poses,
@@ -27,8 +28,6 @@ from slamfusion.geometry import (
 )
 from slamfusion.io import LogScan
 from slamfusion.trajectory import Trajectory, clock_advice
-
-I64 = npt.NDArray[np.int64]
 
 # Parts of a drive that are predicted by the others.
 CHUNKS = 24
@@ -208,8 +207,6 @@ def surface_facings(points: F64, laser: tuple[float, float]) -> F64:
     normal[alone] = to_laser[alone]
     return np.asarray(np.arctan2(normal[:, 1], normal[:, 0]))
 
-
-B8 = npt.NDArray[np.bool_]
 
 # Odometry extends a path beyond its ends by at most this, metres and radians.
 BEYOND_M, BEYOND_RAD = 1.0, 1.0

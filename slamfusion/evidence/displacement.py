@@ -20,7 +20,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import scipy
 
 from slamfusion.compute import ComputeDevice
@@ -35,10 +34,7 @@ from slamfusion.evidence.predictive import (
     DrawnChunks,
     PathEvidence,
 )
-from slamfusion.geometry import F64
-
-I64 = npt.NDArray[np.int64]
-U32 = npt.NDArray[np.uint32]
+from slamfusion.geometry import F64, I64, U32
 
 # If more of the seen walls were free space before, the robot is elsewhere.
 CONTRADICTED = 0.5

@@ -18,7 +18,6 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import scipy
 
 from slamfusion.align.normalize import NormalizedGrid, normalize_grid
@@ -30,7 +29,7 @@ from slamfusion.config import FusionConfig
 from slamfusion.errors import TrajectoryError
 from slamfusion.evidence.beams import ScanHits, no_common_time
 from slamfusion.fusion.lattice_vote import warp_onto
-from slamfusion.geometry import Pose2, moved_poses
+from slamfusion.geometry import B8, I8, I32, I64, U32, Pose2, moved_poses
 from slamfusion.grid import FREE, IDENTITY, OCCUPIED, UNKNOWN, CellBox, OccupancyGrid, known_box
 from slamfusion.slam.common.beam_counts import BeamCounts, Beams
 from slamfusion.trajectory import Trajectory
@@ -38,11 +37,6 @@ from slamfusion.vote.boxes import hull
 from slamfusion.vote.lattice import Lattice
 from slamfusion.vote.tiles import GridLayer, TileVoter
 
-I8 = npt.NDArray[np.int8]
-B8 = npt.NDArray[np.bool_]
-I32 = npt.NDArray[np.int32]
-I64 = npt.NDArray[np.int64]
-U32 = npt.NDArray[np.uint32]
 Row = tuple[float, ...]
 
 # Scans that are placed and counted at once.

@@ -26,7 +26,6 @@ from collections.abc import Collection, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import scipy
 
 from slamfusion.evidence.path_frames import (
@@ -37,12 +36,10 @@ from slamfusion.evidence.path_frames import (
     pose_distances,
 )
 from slamfusion.evidence.predictive import PathEvidence
-from slamfusion.geometry import F64, compose_poses, invert_poses, travelled
+from slamfusion.geometry import F64, I64, compose_poses, invert_poses, travelled
 from slamfusion.pose_graph.graph import PoseGraph
 from slamfusion.pose_graph.optimize import optimize
 from slamfusion.trajectory import Trajectory
-
-I64 = npt.NDArray[np.int64]
 
 # Spans of motions in scans; long ones start at every quarter of their length.
 SPANS = (1, 4, 16, 64, 256)

@@ -23,12 +23,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from slamfusion.evidence.path_frames import geman_mcclure
-from slamfusion.geometry import F64, compose_poses, invert_poses, wrap_angles
-
-B8 = npt.NDArray[np.bool_]
+from slamfusion.geometry import B8, F64, compose_poses, invert_poses, wrap_angles
 
 # Deviations of the motion from one scan to the next, metres and radians.
 STEP_M, STEP_RAD = 0.01, 0.005

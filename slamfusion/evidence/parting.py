@@ -9,11 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from slamfusion.evidence.path_frames import pose_distances
 from slamfusion.evidence.predictive import PathEvidence
-from slamfusion.geometry import F64, fit_motion, moved_poses, with_levers, wrap_angles
+from slamfusion.geometry import B8, F64, fit_motion, moved_poses, with_levers, wrap_angles
 from slamfusion.trajectory import flag_runs
 
 # Two paths part at this distance, metres; the span reaches to where they are within the second one.
@@ -67,7 +66,7 @@ def path_gap_m(evidence: PathEvidence, name: str, other: str) -> F64:
     return np.asarray(np.hypot(*path_gaps(evidence, name, other)[:, :2].T))
 
 
-def parted(gap_m: F64, stamps_s: F64) -> npt.NDArray[np.bool_]:
+def parted(gap_m: F64, stamps_s: F64) -> B8:
     """Return at which scans, (M,) bool, two paths have parted for at least a second."""
     away = np.zeros(len(gap_m), dtype=np.bool_)
     for here in flag_runs(gap_m > NEAR_M):

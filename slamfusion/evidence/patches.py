@@ -15,15 +15,11 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from slamfusion.evidence.beams import JudgedScans, ScanHits, cover_stamps
 from slamfusion.evidence.path_frames import FROM_MEDIAN, geman_mcclure
-from slamfusion.geometry import F64, Pose2, pose_of, row_of, wrap_angle, wrap_angles
+from slamfusion.geometry import B8, F64, I64, Pose2, pose_of, row_of, wrap_angle, wrap_angles
 from slamfusion.trajectory import Trajectory
-
-B8 = npt.NDArray[np.bool_]
-I64 = npt.NDArray[np.int64]
 
 # Side of a patch of wall, metres, and the number of directions of its normal.
 PATCH_M, FACINGS = 0.2, 8

@@ -21,19 +21,23 @@ from functools import lru_cache
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.compute.arrays import DeviceArray
 from slamfusion.compute.layout import BEAM_ONE, FACINGS, TILE
 from slamfusion.errors import TrajectoryError
 from slamfusion.evidence.beams import CHUNKS, JudgedScans, cover_stamps, no_common_time
-from slamfusion.geometry import F64, compose_poses, invert_poses, transform_points
+from slamfusion.geometry import (
+    B8,
+    F64,
+    I32,
+    I64,
+    U32,
+    compose_poses,
+    invert_poses,
+    transform_points,
+)
 from slamfusion.trajectory import Trajectory
-
-I64 = npt.NDArray[np.int64]
-B8 = npt.NDArray[np.bool_]
-U32 = npt.NDArray[np.uint32]
 
 # Parts of the judged scans in the bootstrap: four per chunk, so that a path that is wrong for a
 # tenth of the drive is wrong in many of them.
@@ -63,11 +67,7 @@ class Comparison:
 
 
 def compare_sums(
-    first: F64,
-    second: F64,
-    beams: npt.NDArray[np.int64],
-    is_judged: npt.NDArray[np.bool_],
-    blocks: int = BLOCKS,
+    first: F64, second: F64, beams: I64, is_judged: B8, blocks: int = BLOCKS
 ) -> Comparison:
     """Compare the sums of log-likelihoods of two paths on the same hits: a paired block bootstrap.
 
@@ -320,8 +320,8 @@ class DrawnChunks:
     reach_cells: int
     hit_scans: I64
     chunks: I64
-    beams: npt.NDArray[np.int32]
-    facings: npt.NDArray[np.int32]
+    beams: I32
+    facings: I32
     table: DeviceArray[np.int32]
     hits: DeviceArray[np.uint32]
     seen: DeviceArray[np.uint32]
@@ -412,7 +412,7 @@ class DrawnChunks:
         )
 
 
-def log_likelihoods(found: npt.NDArray[np.int32]) -> tuple[F64, B8]:
+def log_likelihoods(found: I32) -> tuple[F64, B8]:
     """Return log-likelihoods, (B,), of what ``nearest_marks`` found, and whether it was seen."""
     has_wall = found[:, 0] >= 0
     squared = np.where(has_wall, found[:, 0], 0) / float(BEAM_ONE) ** 2

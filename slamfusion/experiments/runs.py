@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
-import numpy.typing as npt
 
 import slamfusion
 from slamfusion.compute import ComputeDevice
@@ -24,7 +23,7 @@ from slamfusion.errors import FleetError, MapFileError, SlamFusionError
 from slamfusion.evaluation.map_error import maps_of_differences
 from slamfusion.evaluation.measured import Row, result_rows
 from slamfusion.fleet import as_done, executor_for
-from slamfusion.geometry import Pose2
+from slamfusion.geometry import I8, Pose2
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import AtomicFiles
 from slamfusion.jobs.documents import record_bytes
@@ -176,7 +175,7 @@ def _write(folder: Path, key: str, mark: str, result: RunResult) -> None:
 # --- the maps of a run against the truth ------------------------------------------------------
 
 
-def packed_maps(differences: Mapping[str, npt.NDArray[np.int8]], resolution: float) -> bytes:
+def packed_maps(differences: Mapping[str, I8], resolution: float) -> bytes:
     """Return the file of differences to the truth, (H, W) int8 by method, all on one lattice."""
     arrays: dict[str, Any] = {f"{MAP}{name}": item for name, item in differences.items()}
     arrays[RESOLUTION] = np.float64(resolution)

@@ -13,7 +13,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from matplotlib import rc_context  # noqa: TID251
 from matplotlib.axes import Axes  # noqa: TID251
 from matplotlib.backend_bases import FigureCanvasBase  # noqa: TID251
@@ -25,11 +24,11 @@ from matplotlib.transforms import Affine2D, Bbox  # noqa: TID251
 
 from slamfusion import palette
 from slamfusion.config import NormalizeConfig
-from slamfusion.geometry import F64, Pose2
+from slamfusion.geometry import B8, F64, I8, U8, Pose2
 from slamfusion.grid import CellBox, OccupancyGrid, box_origin, trinary_cells
 
 # Cells as -1 unknown, 0 free, 1 wall.
-Classes = npt.NDArray[np.int8]
+Classes = I8
 # The colours of a picture by what they mean.
 Legend = Mapping[str, palette.Rgb]
 
@@ -241,7 +240,7 @@ def _draw_scale(axes: Axes) -> None:
     axes.text(x + 0.5 * length, up, f"{length:g} m", ha="center", va="bottom", **look)
 
 
-def crop_box(shown: npt.NDArray[np.bool_]) -> CellBox:
+def crop_box(shown: B8) -> CellBox:
     """Return the box of the cells to show with a small margin; the whole map when none is."""
     rows, cols = np.flatnonzero(shown.any(axis=1)), np.flatnonzero(shown.any(axis=0))
     if rows.size == 0:
@@ -286,7 +285,7 @@ def shown_cells(
     return pooled, factor * resolution, box_origin(origin, resolution, box)
 
 
-def draw_cells(axes: Axes, colours: npt.NDArray[np.uint8], side_m: float, corner: Pose2) -> None:
+def draw_cells(axes: Axes, colours: U8, side_m: float, corner: Pose2) -> None:
     """Draw cells, (h, w, 3 or 4) uint8, at the pose of their lower-left corner; keep the limits."""
     height, width = colours.shape[:2]
     turned = Affine2D().rotate(corner.yaw_rad).translate(corner.x, corner.y)

@@ -8,7 +8,6 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from markupsafe import Markup
 from matplotlib import colormaps  # noqa: TID251
 from matplotlib.figure import Figure  # noqa: TID251
@@ -21,7 +20,7 @@ from slamfusion.evaluation.distances import sample_on_lattice
 from slamfusion.evaluation.doubled_walls import doubled_wall_share
 from slamfusion.evaluation.measured import Figure as Measure
 from slamfusion.evaluation.measured import face_figures, shown_figures
-from slamfusion.geometry import Pose2
+from slamfusion.geometry import B8, F64, U8, Pose2
 from slamfusion.grid import CellBox, OccupancyGrid, box_origin, known_box, trinary_cells
 from slamfusion.report import canvas
 from slamfusion.report.page import Picture, Section, tables
@@ -64,7 +63,7 @@ def map_picture(
     resolution: float,
     origin: Pose2,
     box: CellBox | None = None,
-    outvoted: npt.NDArray[np.bool_] | None = None,
+    outvoted: B8 | None = None,
 ) -> Figure:
     """Draw a map of cells in {-1, 0, 1}, (H, W) int8; its origin's yaw turns the picture.
 
@@ -94,9 +93,7 @@ def overlay_picture(
     return _cells_figure(overlay_rgb([cells for cells, _, _ in shown], colours), *shown[0][1:])
 
 
-def overlay_rgb(
-    layers: Sequence[canvas.Classes], colours: Sequence[palette.Rgb]
-) -> npt.NDArray[np.uint8]:
+def overlay_rgb(layers: Sequence[canvas.Classes], colours: Sequence[palette.Rgb]) -> U8:
     """Return the colours of ``overlay_picture``, (H, W, 3)."""
     pooled = np.array(layers)
     walls = (pooled == 1)[..., None]
@@ -126,7 +123,7 @@ def agreement_colour(percent: int) -> palette.Rgb:
     return round(255 * r), round(255 * g), round(255 * b)
 
 
-def yaw_picture(alignment: Alignment, profile: npt.NDArray[np.float64]) -> Figure:
+def yaw_picture(alignment: Alignment, profile: F64) -> Figure:
     """Draw the best coarse score over yaw, (N, 2), with the answer and its rival marked."""
     order = np.argsort(profile[:, 0])
     yaw_deg, score = np.rad2deg(profile[order, 0]), profile[order, 1]
@@ -175,7 +172,7 @@ def _codes_figure(
     return _cells_figure(rgb, side_m, corner)
 
 
-def _cells_figure(rgb: npt.NDArray[np.uint8], side_m: float, corner: Pose2) -> Figure:
+def _cells_figure(rgb: U8, side_m: float, corner: Pose2) -> Figure:
     """Return the picture of an image of cells; see ``draw_cells``."""
     figure, axes = canvas.map_axes(canvas.cells_extent(rgb.shape, side_m, corner), margin_m=0.0)
     canvas.draw_cells(axes, rgb, side_m, corner)
