@@ -17,8 +17,6 @@ from tests.support.examples import FULL
 from tests.support.searches import CALLERS, RememberedSearches
 
 TESTS = Path(__file__).parent
-# Where PoCL does not know the processor each command would say so; one test looks at that.
-os.environ.setdefault("SLAMFUSION_PATCH_POCL", "1")
 
 # Examples of each property: in every run, under --full, and where NumPy and OpenCV are looked at
 # alone. A busy machine is no fault of the code.

@@ -16,18 +16,11 @@ from slamfusion.compute.pocl_cache import find_cache
 from slamfusion.errors import DeviceError
 
 if TYPE_CHECKING:
-    from slamfusion.compute.compute_device import DeviceInfo, PoclState
+    from slamfusion.compute.compute_device import DeviceInfo
 
 _LOG = logging.getLogger(__name__)
 
-__all__ = [
-    "ComputeDevice",
-    "NumpyDevice",
-    "list_devices",
-    "open_device",
-    "pocl_state",
-    "shared_device",
-]
+__all__ = ["ComputeDevice", "NumpyDevice", "list_devices", "open_device", "shared_device"]
 
 
 def open_device(wanted: str = "auto", *, small_kernels: bool = False) -> ComputeDevice:
@@ -45,7 +38,7 @@ def open_device(wanted: str = "auto", *, small_kernels: bool = False) -> Compute
     """
     if wanted == "numpy":
         return NumpyDevice()
-    cache = find_cache()  # before pyopencl, which keeps files too
+    problem = find_cache()  # before pyopencl, which keeps files too
     try:
         from slamfusion.compute.opencl import OpenCLDevice  # noqa: PLC0415 - optional at run time
 
@@ -54,12 +47,12 @@ def open_device(wanted: str = "auto", *, small_kernels: bool = False) -> Compute
         message = f"pyopencl cannot be imported ({error}); install it or use `--device numpy`"
         raise DeviceError(message) from error
     except (DeviceError, OSError) as error:
-        if cache.folder is not None:
+        if not problem:
             raise
         if wanted != "auto":
             advice = "free some space, or run with `--device numpy`"
-            raise DeviceError(f"{cache.detail}; {advice}") from error
-        _LOG.warning("%s: NumPy computes instead, which takes longer", cache.detail)
+            raise DeviceError(f"{problem}; {advice}") from error
+        _LOG.warning("%s: NumPy computes instead, which takes longer", problem)
         return NumpyDevice()
 
 
@@ -77,13 +70,3 @@ def list_devices() -> list[DeviceInfo]:
     except ImportError:
         return []
     return device.list_devices()
-
-
-def pocl_state() -> PoclState | None:
-    """Say whether the wheel's PoCL knows this processor; None if pyopencl is missing."""
-    find_cache()
-    try:
-        from slamfusion.compute import pocl  # noqa: PLC0415 - optional at run time
-    except ImportError:
-        return None
-    return pocl.name_processor()

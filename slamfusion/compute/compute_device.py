@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Literal
+from dataclasses import dataclass
 
 import numpy.typing as npt
 
@@ -43,18 +41,6 @@ class DeviceInfo:
     """Whether it can run the kernels."""
     note: str
     """Why it cannot, or when it is chosen; may be empty."""
-
-
-@dataclass(frozen=True)
-class PoclState:
-    """How the PoCL that came with the package was changed."""
-
-    state: Literal["absent", "known", "patched", "refused"]
-    """Not installed; knows the processor; was made to know it; was left and is not used."""
-    detail: str
-    """One line for people, with what to do where something is to be done."""
-    library: Path | None = field(default=None, repr=False)
-    """The file; None where absent."""
 
 
 class ComputeDevice(

@@ -19,9 +19,8 @@ import pyopencl as cl  # noqa: TID251 - compute/ is where pyopencl belongs
 
 from slamfusion.compute.arrays import DeviceArray, Scalar
 from slamfusion.compute.compute_device import ComputeDevice
-from slamfusion.compute.device import choose_device, is_simulator
+from slamfusion.compute.device import choose_device, is_simulator, is_single_thread
 from slamfusion.compute.layout import CLIMBERS, EACH_LANE, kernel_options
-from slamfusion.compute.pocl import is_single_thread
 from slamfusion.errors import DeviceError
 
 LOG = logging.getLogger(__name__)

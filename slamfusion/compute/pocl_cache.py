@@ -10,11 +10,8 @@ from __future__ import annotations
 
 import atexit
 import logging
-import multiprocessing
 import os
-import shutil
 import tempfile
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
@@ -26,82 +23,47 @@ FOLDER, CACHES = "POCL_CACHE_DIR", "XDG_CACHE_HOME"
 ROOM_BYTES = 2**24
 
 
-@dataclass(frozen=True)
-class PoclCache:
-    """The folder in which PoCL stores its kernels; None if there is none.
-
-    ``detail`` is why it is not PoCL's own, in one line; else empty.
-    """
-
-    folder: Path | None
-    detail: str = ""
-
-
 @cache
-def find_cache() -> PoclCache:
-    """Return the folder that PoCL uses from now on; call it before pyopencl is imported.
+def find_cache() -> str:
+    """Let PoCL store its kernels; return why it cannot, empty if it can.
 
-    Where the caches of the user cannot be written, pyopencl's own is put there too.
+    Call it before pyopencl is imported, which keeps files in the user's caches itself.
     """
-    own, caches = _own_folder(), user_caches()
-    reason, other_reason = _why_not(own), _why_not(caches)
-    if not reason and not other_reason:
-        return PoclCache(own)
-    folder, why = (own, reason) if reason else (caches, other_reason)
-    found = _temporary(f"PoCL's cache {folder} cannot be written ({why})")
-    if found.folder is not None:
-        os.environ[FOLDER] = str(found.folder)  # processes that are started share it
-        if other_reason:
-            os.environ[CACHES] = str(found.folder)
-        if multiprocessing.parent_process() is None:
-            LOG.warning("%s", found.detail)
-    return found
-
-
-def _temporary(problem: str) -> PoclCache:
-    """Return a cache that is removed when this process ends."""
+    if os.environ.get(CACHES):
+        caches = Path(os.environ[CACHES])
+    elif os.environ.get("HOME"):
+        caches = Path(os.environ["HOME"], ".cache")
+    else:
+        caches = Path("/tmp")  # noqa: S108 - PoCL's own choice
+    own = Path(os.environ.get(FOLDER) or caches / "pocl" / "kcache")
+    folder = own
     try:
-        folder = Path(tempfile.mkdtemp(prefix="slamfusion-pocl-"))
+        for folder in (own, caches):
+            _reserve(folder)
     except OSError as error:
-        reason = error.strerror or str(error)
-        return PoclCache(None, f"{problem}, and no temporary folder either ({reason})")
-    reason = _why_not(folder)
-    if reason:
-        shutil.rmtree(folder, ignore_errors=True)
-        return PoclCache(None, f"{problem}, and {folder.parent} neither ({reason})")
-    atexit.register(_remove, folder, os.getpid())
-    advice = f"free some space there, or let {FOLDER} name another folder"
-    return PoclCache(folder, f"{problem}: kernels are built for this process only; {advice}")
-
-
-def _remove(folder: Path, owner: int) -> None:
-    """Remove the folder at the end of the process that made it, not of its forks."""
-    if os.getpid() == owner:
-        shutil.rmtree(folder, ignore_errors=True)
-
-
-def _own_folder() -> Path:
-    """Return PoCL's folder: from the environment, or else in the user's caches."""
-    told = os.environ.get(FOLDER)
-    if told:
-        return Path(told)
-    return user_caches() / "pocl" / "kcache"
-
-
-def user_caches() -> Path:
-    """Return the user's cache folder."""
-    for variable, below in ((CACHES, ""), ("HOME", ".cache")):
-        if os.environ.get(variable):
-            return Path(os.environ[variable], below)
-    return Path("/tmp")  # noqa: S108 - PoCL's own choice
-
-
-def _why_not(folder: Path) -> str:
-    """Create a folder and return why kernels cannot be stored there; empty if they can."""
+        problem = f"PoCL's cache {folder} cannot be written ({error.strerror})"
+    else:
+        return ""
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder) as file:
-            os.posix_fallocate(file.fileno(), 0, ROOM_BYTES)
+        temporary = tempfile.TemporaryDirectory(prefix="slamfusion-pocl-")
     except OSError as error:
-        return error.strerror or str(error)
+        return f"{problem}, and no temporary folder either ({error.strerror})"
+    atexit.register(temporary.cleanup)
+    try:
+        _reserve(Path(temporary.name))
+    except OSError as error:
+        return f"{problem}, and {Path(temporary.name).parent} neither ({error.strerror})"
+    # Processes that are started share it.
+    os.environ[FOLDER] = os.environ[CACHES] = temporary.name
+    LOG.warning(
+        "%s: kernels are built for this process only; free some space there, or let %s name "
+        "another folder", problem, FOLDER,
+    )  # fmt: skip
     return ""
+
+
+def _reserve(folder: Path) -> None:
+    """Create a folder; OSError if kernels cannot be stored there."""
+    folder.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryFile(dir=folder) as file:
+        os.posix_fallocate(file.fileno(), 0, ROOM_BYTES)

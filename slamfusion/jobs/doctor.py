@@ -6,8 +6,9 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from slamfusion.compute import list_devices, open_device, pocl_state
-from slamfusion.compute.compute_device import DeviceInfo, PoclState
+from slamfusion.compute import list_devices, open_device
+from slamfusion.compute.compute_device import DeviceInfo
+from slamfusion.compute.pocl import PoclState, name_processor
 from slamfusion.config import RunConfig
 from slamfusion.errors import DeviceError
 from slamfusion.version import version_of, versions
@@ -55,7 +56,7 @@ class DoctorDocument:
     devices: Sequence[DeviceInfo]
     """The OpenCL devices; may be empty."""
     pocl: PoclState | None
-    """How the PoCL that came with the package was changed; null where no OpenCL was looked at."""
+    """How the PoCL that came with the package was changed; null if its wheel is not installed."""
     device: str | None
     """The one that was tested, in words; null where it cannot be opened."""
     self_test: Sequence[SelfTest]
@@ -68,7 +69,7 @@ def check_installation(config: RunConfig) -> DoctorDocument:
     """Report versions, devices, problems and a test of three kernels of the chosen device."""
     from slamfusion.compute.self_test import self_test  # noqa: PLC0415
 
-    found, devices, pocl = versions(), list_devices(), pocl_state()
+    found, devices, pocl = versions(), list_devices(), name_processor()
     problems = []
     if not any(device.usable for device in devices):
         problems.append(

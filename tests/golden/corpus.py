@@ -28,12 +28,7 @@ EXPECTED = HERE / "expected"
 RECORDED = HERE / "recorded.json"
 
 # Of the commands; to be set before any worker starts.
-ENVIRONMENT = {
-    "COLUMNS": "80",
-    "LC_ALL": "C.UTF-8",
-    "POCL_MAX_PTHREAD_COUNT": "1",
-    "SLAMFUSION_PATCH_POCL": "1",
-}
+ENVIRONMENT = {"COLUMNS": "80", "LC_ALL": "C.UTF-8", "POCL_MAX_PTHREAD_COUNT": "1"}
 # Keys of JSON documents and of YAML files whose values differ from run to run or by machine.
 VOLATILE = re.compile(
     r"(process_)?(time|cpu)_s|solve_s|stages_s|.*memory_mb|time_per_scan_ms|versions?|devices?"

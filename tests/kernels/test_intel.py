@@ -93,7 +93,7 @@ def test_intel_steps_in_where_pocl_is_refused():
     unknown = (
         "import ctypes, os, slamfusion.compute.pocl as pocl\n"
         "os.environ['SLAMFUSION_PATCH_POCL'] = '0'\n"
-        "function = ctypes.CDLL(str(pocl._library())).pocl_get_llvm_cpu_name\n"
+        "function = ctypes.CDLL(str(pocl.wheel_library())).pocl_get_llvm_cpu_name\n"
         "function.restype = ctypes.c_char_p\n"
         "pocl.UNKNOWN = function()\n"
     )

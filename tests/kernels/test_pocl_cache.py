@@ -16,13 +16,13 @@ from tests.cli.command import MAPS, json_of, run
 
 pytestmark = pytest.mark.once
 
-FULL = os.strerror(28)
+FOLDERS = ("POCL_CACHE_DIR", "XDG_CACHE_HOME")
 
 
 @pytest.fixture(autouse=True)
-def _anew(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[None]:
-    """Find the folder anew, and leave the process's as it was."""
-    for name in (pocl_cache.FOLDER, pocl_cache.CACHES):
+def _fresh(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[None]:
+    """Find the folder again, and leave the process's as it was."""
+    for name in FOLDERS:
         monkeypatch.setenv(name, str(tmp_path / name))
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     pocl_cache.find_cache.cache_clear()
@@ -31,39 +31,33 @@ def _anew(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[None]:
 
 
 def test_a_cache_that_can_be_written_is_pocls_own(tmp_path: Path) -> None:
-    found = pocl_cache.find_cache()
-    assert found == pocl_cache.PoclCache(tmp_path / pocl_cache.FOLDER)
-    assert os.environ[pocl_cache.FOLDER] == str(found.folder)
+    assert not pocl_cache.find_cache()
+    assert [os.environ[name] for name in FOLDERS] == [str(tmp_path / name) for name in FOLDERS]
+    assert all(path.is_dir() for path in tmp_path.iterdir())
 
 
+@pytest.mark.parametrize("name", FOLDERS)
 def test_without_a_cache_kernels_are_kept_for_the_process(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, name: str
 ) -> None:
-    own = tmp_path / "file"
-    own.write_bytes(b"")
-    monkeypatch.setenv(pocl_cache.FOLDER, str(own))
-    found = pocl_cache.find_cache()
-    assert found.folder is not None
-    assert found.folder.parent == tmp_path
-    assert os.environ[pocl_cache.FOLDER] == str(found.folder)
+    full = tmp_path / name
+    full.write_bytes(b"")
+    assert not pocl_cache.find_cache()
     (record,) = caplog.records
-    assert record.message == found.detail
-    assert f"PoCL's cache {own} cannot be written (File exists): kernels are" in found.detail
-    pocl_cache._remove(found.folder, os.getpid() + 1)
-    assert found.folder.is_dir()
-    pocl_cache._remove(found.folder, os.getpid())
-    assert not found.folder.exists()
+    assert f"PoCL's cache {full} cannot be written (File exists): kernels are" in record.message
+    assert {Path(os.environ[name]).parent for name in FOLDERS} == {tmp_path}
+    assert all(Path(os.environ[name]).is_dir() for name in FOLDERS)
 
 
 def test_without_any_folder_any_device_is_numpy_and_a_named_one_is_refused(
-    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.setattr(pocl_cache, "_why_not", lambda _: FULL)
-    monkeypatch.setattr("slamfusion.compute.device.find_devices", list)
+    (tmp_path / FOLDERS[0]).write_bytes(b"")
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / FOLDERS[0]))
     assert open_device("auto").name.startswith("NumPy")
     (record,) = caplog.records
-    assert record.message.endswith(f"neither ({FULL}): NumPy computes instead, which takes longer")
-    with pytest.raises(DeviceError, match=rf"neither \({FULL}\); free some space, or run with"):
+    assert "no temporary folder either (Not a directory): NumPy computes instead" in record.message
+    with pytest.raises(DeviceError, match=r"\(Not a directory\); free some space, or run with"):
         open_device("pthread")
 
 
@@ -71,9 +65,10 @@ def test_a_process_that_may_write_no_large_file_ends_well(tmp_path: Path) -> Non
     """Before, PoCL said that there is no device."""
     done = run(
         "evaluate", MAPS[0], "--truth", MAPS[1], "--no-align", "--json",
-        env={"TMPDIR": str(tmp_path), pocl_cache.FOLDER: str(tmp_path)},
+        env={"TMPDIR": str(tmp_path), "POCL_CACHE_DIR": str(tmp_path)},
         limits={resource.RLIMIT_FSIZE: 4096},
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     assert len(done.stderr.splitlines()) <= 1
     assert len(json_of(done)["maps"]) == 1
+    assert not list(tmp_path.glob("slamfusion-*"))
