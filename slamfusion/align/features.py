@@ -23,7 +23,7 @@ from slamfusion.align.likelihood import (
     likeness,
     score_table,
 )
-from slamfusion.align.lines import PieceLines, piece_lines
+from slamfusion.align.lines import PieceLines
 from slamfusion.align.normalize import LEAST_KEPT, NormalizedGrid
 from slamfusion.compute import ComputeDevice
 from slamfusion.compute.arrays import I32, I64, DeviceArray
@@ -319,9 +319,9 @@ class GridFeatures:
 
     @_kept
     def piece_lines(self, per_half_cell: float, most: int, width: float, apart: int) -> PieceLines:
-        """Return how the ``pieces`` depend on each other, see ``lines.piece_lines``."""
+        """Return how the ``pieces`` depend on each other."""
         points, starts, places = self._cut(per_half_cell, most)
-        return piece_lines(points, starts[:-1], places, width, apart)
+        return PieceLines(points, starts[:-1], places, width, apart)
 
     @_kept
     def piece_words(self, sigma: float) -> tuple[EvidenceTable, DeviceArray[Any]]:

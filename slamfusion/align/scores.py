@@ -109,7 +109,7 @@ class WallPieces:
 
     def _by_map(self, values: F64) -> list[F64]:
         """Return values (..., B) of the moving map's pieces, and the reference's."""
-        return np.split(values, [len(self.lines[0].straight)], axis=-1)
+        return np.split(values, [len(self.lines[0].squares)], axis=-1)
 
 
 def wall_pieces(
