@@ -19,7 +19,7 @@ from slamfusion.evaluation.map_error import compare_to_truth
 from slamfusion.evaluation.measured import Row, map_figures, result_rows
 from slamfusion.fusion import align_grids, fuse_grids
 from slamfusion.geometry import Pose2
-from slamfusion.io import AtomicFiles
+from slamfusion.io import AtomicFiles, write_atomic
 from slamfusion.jobs import inputs
 from slamfusion.jobs.cases import CaseFile, Placed, case_names, place_files
 from slamfusion.jobs.fuse_documents import Evaluation, FusedInput
@@ -279,16 +279,49 @@ def write_evaluation(
     """
     if report is None and not images:
         return
-    from slamfusion.report import write_difference_image, write_evaluation_report  # noqa: PLC0415  (an extra)
+    from slamfusion.report import canvas, maps  # noqa: PLC0415  (an extra)
 
     with AtomicFiles():
         if report is not None:
-            alignments = [evaluation.alignment for evaluation in evaluations]
-            write_evaluation_report(
-                evaluations, report, config=config, alignments=alignments, device=device
-            )
+            _write_report(evaluations, report, config, device)
         for evaluation, path in zip(evaluations, images, strict=bool(images)):
-            write_difference_image(evaluation, path)
+            picture = maps.difference_picture(evaluation, None)
+            form = path.suffix.lower().removeprefix(".")
+            write_atomic(path, canvas.to_form(picture.figure, form))
+
+
+def _write_report(
+    evaluations: Sequence[Evaluation], directory: Path, config: RunConfig, device: str
+) -> None:
+    """Write the report of the differences of maps to one truth; rejected ones are at the top."""
+    from slamfusion.report import layers, maps, page  # noqa: PLC0415  (an extra)
+
+    alignments = [evaluation.alignment for evaluation in evaluations]
+    section = maps.error_section(evaluations, alignments)
+    sections = [replace(section, layers=layers.error_layers(evaluations))]
+    searched = [alignment for alignment in alignments if alignment is not None]
+    if searched:
+        table = page.tables().alignments("Alignment to the truth", searched)
+        sections.append(page.Section("Alignment", "", maps.yaw_pictures(searched), table))
+    lost = [
+        (f"{alignment.moving} could not be aligned:", alignment.reason)
+        for alignment in searched
+        if not alignment.accepted
+    ]
+    best, truth = min(evaluations, key=lambda item: item.error), evaluations[0].truth
+    is_one = len(evaluations) == 1
+    headline = f"{best.name} against {truth}" if is_one else f"{best.name} is nearest to {truth}"
+    facts = [
+        page.Fact(
+            f"{item.error:.2f}",
+            f"error of {item.name} [F16]",
+            "good" if item.error == best.error and not is_one else "plain",
+        )
+        for item in evaluations
+    ]
+    banner = page.Banner("warn" if lost else "good", headline, lost)
+    report = page.Page("SLAMfusion evaluation", banner, facts, sections, config, device)
+    page.write_page(report, directory)
 
 
 def difference_images(image: Path, names: Sequence[str]) -> list[Path]:

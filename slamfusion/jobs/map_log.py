@@ -19,6 +19,7 @@ from slamfusion.jobs.inputs import LogFiles, Progress, Warn, as_path, load_truth
 from slamfusion.jobs.outputs import PROBABILITY, output_files
 from slamfusion.jobs.records import Circumstances
 from slamfusion.json_values import FLAT
+from slamfusion.palette import colours_of
 from slamfusion.slam.common.mapper import Mapper
 from slamfusion.slam.common.runner import ProducerRun, Resumable, run_producer
 from slamfusion.slam.registry import make_producer, open_producer_device, resume_producer
@@ -282,7 +283,7 @@ def save_mapped_log(
         for path, data in packed.items():
             write_atomic(path, data)
         if report is not None:
-            _write_report(mapped, Path(report))
+            write_slam_report(mapped.result, report, config, mapped.true_path)
     return saved
 
 
@@ -299,31 +300,66 @@ def _packed_state(mapper: Mapper, target: Path) -> bytes:
         return draft.read_bytes()
 
 
-def _write_report(mapped: MappedLog, directory: Path) -> None:
-    from slamfusion.report import Fact, write_slam_report  # noqa: PLC0415  (an extra)
+def write_slam_report(
+    result: SlamProducer, directory: str | Path, config: RunConfig, truth: Trajectory | None = None
+) -> Path:
+    """Write the report of a producer's run; see ``slamfusion.report.page.write_page``.
 
-    result, run = mapped.result, mapped.result.run
+    Args:
+        result: its path has at least one pose. The first of the other paths of a producer with
+            closures is the path as it was first reported.
+        truth: the true path; drawn where ``result`` has the errors against it.
+    """
+    from slamfusion.report import errors, layers, maps, page, paths  # noqa: PLC0415  (an extra)
+
+    run, normalize = result.run, config.fusion.normalize
+    grid, trajectory, odometry = run.grid, run.trajectory, run.odometry
+    # A resumed run's log may only go on: then its odometry cannot start where the path does.
+    if result.resumed_from is not None and odometry is not None:
+        odometry = None if odometry.stamps_s[0] > trajectory.stamps_s[0] else odometry
+    pictures = [
+        maps.input_picture(grid, normalize),
+        *paths.path_pictures(
+            trajectory,
+            config=config,
+            grid=grid,
+            errors=result.measures.truth,
+            truth=truth,
+            odometry=odometry,
+            others=run.other_paths,
+        ),
+    ]
+    if run.closures:
+        pictures.append(
+            paths.closures_picture(trajectory, run.closures, grid=grid, normalize=normalize)
+        )
+    statistics = maps.map_statistics([grid], normalize)
+    shown = layers.map_layers(grid, trajectory)
+    sections = [page.Section("Map and path", "", pictures, statistics, layers=shown)]
+    sections += errors.errors_section([result.path], colours_of([run.name]))
+    over_time = []
+    if series := errors.drawable(run.series):
+        colour = colours_of([trajectory.name])[trajectory.name]
+        start_s = float(trajectory.stamps_s[0])
+        figure = errors.series_picture(series, colours=[colour] * len(series), start_s=start_s)
+        text = f"From the top: {', '.join(item.name for item in series)}."
+        over_time = [page.Picture("over-time", figure, "Over the run", text)]
+    tables = page.tables()
+    health = tables.texts("The run", ["what", "value"], result.figures())
+    if remarks := run_remarks(run):
+        health += tables.texts("Said of the log and its scans", ["where", "what"], remarks)
+    sections.append(page.Section("Health and time", "", over_time, health))
     facts = [
-        Fact(f"{run.scans_used} of {run.scans}", "scans used"),
-        Fact(f"{run.time_per_scan_ms.mean:.2f} ms", "a scan"),
-        Fact(f"{run.peak_memory_mb:.1f} MB", "map and filter"),
+        *errors.error_facts(result.path),
+        page.Fact(f"{run.scans_used} of {run.scans}", "scans used"),
+        page.Fact(f"{run.time_per_scan_ms.mean:.2f} ms", "a scan"),
+        page.Fact(f"{run.peak_memory_mb:.1f} MB", "map and filter"),
     ]
     if run.health.mean_match_score is not None:
-        facts.append(Fact(f"{run.health.mean_match_score:.3f}", "mean match score"))
-    # A resumed run's log may only go on: then its odometry cannot start where the path does.
-    is_later = (
-        result.resumed_from is not None
-        and run.odometry is not None
-        and run.odometry.stamps_s[0] > run.trajectory.stamps_s[0]
-    )
-    write_slam_report(
-        directory,
-        replace(run, odometry=None) if is_later else run,
-        config=mapped.made_with.config,
-        facts=facts,
-        figures=result.figures(),
-        remarks=run_remarks(run),
-        truth=mapped.true_path,
-        measures=result.measures,
-        device=result.device,
-    )
+        facts.append(page.Fact(f"{run.health.mean_match_score:.3f}", "mean match score"))
+    judged = "its map may be wrong" if run.warnings else "no warning from its run"
+    headline = f"{run.name}: {judged} ({len(trajectory)} poses, {trajectory.path_length_m():.1f} m)"
+    lines = [(f"{run.name}:", sentence) for sentence in run.warnings]
+    banner = page.Banner("warn" if run.warnings else "plain", headline, lines)
+    report = page.Page("SLAMfusion run", banner, facts, sections, config, result.device)
+    return page.write_page(report, directory)

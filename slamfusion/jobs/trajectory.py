@@ -4,17 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import zip_longest
 from pathlib import Path
 
 from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
-from slamfusion.evaluation.measured import GroundTruth, MeasuredPath, Row, result_rows
+from slamfusion.evaluation.measured import GroundTruth, MeasuredPath, Row, errors_m, result_rows
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import read_trajectory
 from slamfusion.jobs.cases import Placed
 from slamfusion.jobs.inputs import LogFiles
 from slamfusion.jobs.records import Settings, Summaries
 from slamfusion.json_values import FLAT, printed_as
+from slamfusion.palette import colours_of
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -131,22 +133,58 @@ def write_trajectories(
     found: Sequence[MeasuredTrajectory], directory: str | Path, config: RunConfig | None = None
 ) -> Path:
     """Write one report of the errors of paths; see ``slamfusion.report.page.write_page``."""
-    from slamfusion.report import write_trajectory_report  # noqa: PLC0415  (an extra)
+    from slamfusion.report import errors, page, paths  # noqa: PLC0415  (an extra)
 
-    cases: dict[str, list[MeasuredPath]] = {}
+    config = config or RunConfig()
+    cases: dict[str, list[MeasuredTrajectory]] = {}
     for own in found:
         named = replace(own, trajectory=replace(own.trajectory, name=own.placed.name))
         cases.setdefault(own.placed.case, []).append(named)
-    first = found[0]
-    return write_trajectory_report(
-        directory,
-        cases,
-        config=config or RunConfig(),
-        truths={
-            own.placed.case: own.ground_truth.truth
-            for own in found
-            if own.ground_truth.truth is not None
-        },
-        odometry=first.ground_truth.scans if len(found) == 1 else None,
-        grid=first.grid,
-    )
+    sections, by_path, lines = [], [], []
+    is_one = len(cases) == 1
+    colours = colours_of(item.name for own in cases.values() for item in own)
+    for case, measured in cases.items():
+        first = measured[0]
+        if len(measured) == 1:
+            pictures = paths.path_pictures(
+                first.trajectory,
+                config=config,
+                grid=first.grid,
+                errors=first.measures.truth,
+                truth=first.ground_truth.truth,
+                odometry=first.ground_truth.scans if len(found) == 1 else None,
+            )
+        else:
+            pictures = [paths.paths_over_truth(case, measured, first.ground_truth.truth, colours)]
+        title = f"The path{'s' if len(measured) > 1 else ''}"
+        sections.append(page.Section(title if is_one else f"{case}: {title}", "", pictures))
+        sections += errors.errors_section(measured, colours, "" if is_one else case)
+        by_path += [errors.error_facts(item) for item in measured]
+        words: dict[str, list[str]] = {}
+        for item in measured:
+            counted = item.measures.how_counted()
+            words.setdefault("; ".join(counted) + ".", []).append(item.name)
+        lines += [(f"{case}, {', '.join(names)}:", text) for text, names in words.items()]
+    # The leading error of each path comes first.
+    facts = [fact for row in zip_longest(*by_path) for fact in row if fact is not None]
+    if len(found) == 1:
+        facts += [
+            page.Fact(f"{found[0].poses}", "poses"),
+            page.Fact(f"{found[0].path_length_m:.1f} m", "travelled by the estimate"),
+        ]
+    banner = page.Banner("plain", _headline(cases), lines)
+    report = page.Page("SLAMfusion trajectory", banner, facts, sections, config, "none needed")
+    return page.write_page(report, directory)
+
+
+def _headline(cases: Mapping[str, Sequence[MeasuredPath]]) -> str:
+    """Name the path with the smallest error; of several cases the number of paths."""
+    measured = [item for own in cases.values() for item in own]
+    known = errors_m(measured)
+    if len(cases) > 1 or not any(known.values()):
+        return f"{len(measured)} paths of {len(cases)} cases"
+    errors = known["ATE"] or known["relations"]
+    best, error_m = next(iter(errors.items()))
+    kind = "from the truth (ATE rmse)" if known["ATE"] else "off the relations (mean)"
+    place = f", the nearest of {len(errors)}" if len(errors) > 1 else ""
+    return f"{best}: {error_m:.4f} m {kind}{place}"

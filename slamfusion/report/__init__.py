@@ -15,8 +15,3 @@ except ImportError as _error:
 
 from slamfusion.report.fusion_report import write_failure_report as write_failure_report
 from slamfusion.report.fusion_report import write_fusion_report as write_fusion_report
-from slamfusion.report.page import Fact as Fact
-from slamfusion.report.reports import write_difference_image as write_difference_image
-from slamfusion.report.reports import write_evaluation_report as write_evaluation_report
-from slamfusion.report.reports import write_slam_report as write_slam_report
-from slamfusion.report.reports import write_trajectory_report as write_trajectory_report

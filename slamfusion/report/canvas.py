@@ -23,7 +23,8 @@ from matplotlib.ticker import MaxNLocator  # noqa: TID251
 from matplotlib.transforms import Affine2D, Bbox  # noqa: TID251
 
 from slamfusion import palette
-from slamfusion.config import NormalizeConfig
+from slamfusion.config import PICTURE_FORMS, NormalizeConfig
+from slamfusion.errors import SlamFusionError
 from slamfusion.geometry import B8, F64, I8, U8, Pose2
 from slamfusion.grid import CellBox, OccupancyGrid, box_origin, trinary_cells
 
@@ -120,7 +121,13 @@ def add_legend(figure: Figure, handles: Sequence[Any], texts: Sequence[str], col
 
 
 def to_form(figure: Figure, form: str) -> bytes:
-    """Return the bytes of a PNG, SVG or PDF file; the same figure always gives the same bytes."""
+    """Return the bytes of a PNG, SVG or PDF file; the same figure always gives the same bytes.
+
+    Raises:
+        SlamFusionError: another form.
+    """
+    if form not in PICTURE_FORMS:
+        raise SlamFusionError(f"a picture is one of {', '.join(PICTURE_FORMS)}, found {form!r}")
     buffer = io.BytesIO()
     FigureCanvasAgg(figure)
     # Maps are large flat areas: a higher level takes four times as long for a few percent.

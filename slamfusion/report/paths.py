@@ -13,6 +13,7 @@ from matplotlib.colors import LinearSegmentedColormap, Normalize  # noqa: TID251
 from matplotlib.figure import Figure  # noqa: TID251
 
 from slamfusion.config import NormalizeConfig, RunConfig
+from slamfusion.evaluation.measured import MeasuredPath
 from slamfusion.evaluation.trajectory_error import TrajectoryErrors
 from slamfusion.evidence.parting import PART_M, path_gap_m
 from slamfusion.evidence.predictive import PathEvidence
@@ -226,6 +227,32 @@ def path_pictures(
         where = Picture("error-on-path", figure, "Where the error is", caption)
         pictures.append(where)
     return pictures
+
+
+def paths_over_truth(
+    case: str,
+    measured: Sequence[MeasuredPath],
+    truth: Trajectory | None,
+    colours: Mapping[str, Rgb],
+) -> Picture:
+    """Draw all paths of a case, each aligned with the truth as its errors are."""
+    lines = []
+    for item in measured:
+        path = item.trajectory
+        if item.measures.truth is not None:
+            path = path.moved(item.measures.truth.alignment.transform)
+        lines.append(Line(path, item.name, colours[item.name], 1.0))
+    marked = lines[0].path
+    if truth is not None:
+        lines.append(truth_line(truth))
+        marked = truth
+    return Picture(
+        f"{case}-paths",
+        paths_picture(lines, marked),
+        f"{case}: all paths" + (" over the truth" if truth is not None else ""),
+        "Each path is aligned with the truth as a whole." if truth is not None else "",
+        legend=paths_legend(lines),
+    )
 
 
 def closures_picture(

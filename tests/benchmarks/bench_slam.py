@@ -33,7 +33,7 @@ from slamfusion.config import DeviceConfig, RunConfig
 from slamfusion.config.run import LidarName
 from slamfusion.evaluation.doubled_walls import doubled_wall_share
 from slamfusion.evaluation.map_error import compare_to_truth
-from slamfusion.evaluation.measured import GroundTruth
+from slamfusion.evaluation.measured import GroundTruth, Measures
 from slamfusion.evaluation.odometry import match_odometry
 from slamfusion.evaluation.relations import Relations, errors_at_scans
 from slamfusion.evaluation.statistics import mean_interval
@@ -43,6 +43,7 @@ from slamfusion.geometry import F64, compose_poses, invert_poses, row_of, wrap_a
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import LogScan, open_log, read_trajectory, save_map
 from slamfusion.io.log import odometry_path
+from slamfusion.jobs.map_log import SlamProducer, write_slam_report
 from slamfusion.sim import named_course, simulate, with_overrides
 from slamfusion.slam.common.mapper import Closure
 from slamfusion.slam.common.runner import ProducerRun, run_producer
@@ -326,12 +327,13 @@ def logs(bench: Bench) -> Iterator[Row]:
 
 def write_report(folder: Path, run: ProducerRun, corrected: Trajectory, config: RunConfig) -> None:
     """Write the report of a run, with the corrected path next to its own."""
-    from slamfusion.report import write_slam_report  # noqa: PLC0415  (loads matplotlib)
-
     moved = trajectory_errors(corrected, run.trajectory, config.trajectory).alignment.transform
     other = replace(corrected.moved(moved), name="the corrected log, aligned")
     shown = replace(run, other_paths=(*run.other_paths, other))
-    write_slam_report(folder, shown, config=config)
+    result = SlamProducer(
+        run=shown, measures=Measures(), map_error=None, device="", resumed_from=None
+    )
+    write_slam_report(result, folder, config)
 
 
 # --- tables --------------------------------------------------------------------------------------

@@ -11,15 +11,20 @@ import numpy as np
 import pytest
 
 from slamfusion.config import ReportConfig, RunConfig, TrajectoryConfig
-from slamfusion.evaluation.measured import MeasuredPath, Measures
+from slamfusion.evaluation.measured import GroundTruth, Measures
 from slamfusion.evaluation.relations import RelationErrors
 from slamfusion.evaluation.trajectory_error import trajectory_errors
 from slamfusion.geometry import compose_poses
 from slamfusion.grid import OccupancyGrid
+from slamfusion.jobs.cases import Placed
+from slamfusion.jobs.inputs import LogFiles
+from slamfusion.jobs.map_log import SlamProducer, write_slam_report
+from slamfusion.jobs.trajectory import MeasuredTrajectory, write_trajectories
 from slamfusion.palette import END_RGB, NAMED, OTHERS, START_RGB
-from slamfusion.report import Fact, paths, write_slam_report, write_trajectory_report
+from slamfusion.report import paths
 from slamfusion.report.errors import distribution_figure
 from slamfusion.slam.common.mapper import Series
+from slamfusion.slam.common.runner import ProducerRun
 from slamfusion.trajectory import Trajectory
 from tests.report.drawn import NASTY, centre, near, pixels, room, run_of
 
@@ -116,6 +121,12 @@ def test_odd_paths_can_be_drawn(places: list[tuple[float, float]]) -> None:
 # --- pages ---------------------------------------------------------------------------------------
 
 
+def result_of(run: ProducerRun, measures: Measures) -> SlamProducer:
+    return SlamProducer(
+        run=run, measures=measures, map_error=None, device="a device", resumed_from=None
+    )
+
+
 def relations_of_round() -> RelationErrors:
     return relation_values([0.1, 0.2], [[0.0, 1.0], [2.0, 50.0]])
 
@@ -126,20 +137,12 @@ def test_the_report_of_a_run_has_all_parts(tmp_path: Path) -> None:
         NASTY, own_map(), in_room(wrong=0.1), odometry=in_room(wrong=0.3), low_scores_in_a_row=8
     )
     errors = trajectory_errors(run.trajectory, truth, CONFIG.trajectory)
-    page = write_slam_report(
-        tmp_path,
-        run,
-        config=CONFIG,
-        facts=[Fact("1.25 ms", "mean time a scan")],
-        figures=[("low scores", "3")],
-        truth=truth,
-        measures=Measures(errors, relations_of_round()),
-        device="a device",
-    ).read_text(encoding="utf-8")
+    result = result_of(run, Measures(errors, relations_of_round()))
+    page = write_slam_report(result, tmp_path, CONFIG, truth).read_text(encoding="utf-8")
     for words in (
-        "1.25 ms",
+        f"{run.scans_used} of {run.scans}",
         "tracking may be lost",
-        "low scores",
+        "8 of them in a row",
         "The path over the map",
         "The path and others",
         "Error against the truth over the drive",
@@ -152,17 +155,17 @@ def test_the_report_of_a_run_has_all_parts(tmp_path: Path) -> None:
     ):
         assert words in page
     assert "<script>alert" not in page
-    assert page.index("tracking may be lost") < page.index("ATE rmse") < page.index("1.25 ms")
+    used = page.index("scans used")
+    assert page.index("tracking may be lost") < page.index("ATE rmse") < used
 
 
 def test_the_report_of_a_run_without_truth_has_the_map_and_the_path(tmp_path: Path) -> None:
-    page = write_slam_report(
-        tmp_path, run_of("tinyslam", own_map(), in_room()), config=CONFIG
-    ).read_text(encoding="utf-8")
+    result = result_of(run_of("tinyslam", own_map(), in_room()), Measures())
+    page = write_slam_report(result, tmp_path, CONFIG).read_text(encoding="utf-8")
     assert "The path over the map" in page
     assert "tinyslam: no warning from its run (60 poses" in page
     assert 'class="banner plain"' in page
-    for words in ("Error", "ATE", "The path and others", "Health"):
+    for words in ("Error", "ATE", "The path and others", "Over the run"):
         assert words not in page
     assert sorted(path.name for path in tmp_path.iterdir()) == [
         "01-input-room.png",
@@ -173,38 +176,42 @@ def test_the_report_of_a_run_without_truth_has_the_map_and_the_path(tmp_path: Pa
 
 def test_the_report_of_a_run_shows_its_series_and_other_paths(tmp_path: Path) -> None:
     stamps = np.arange(60.0)
-    page = write_slam_report(
-        tmp_path,
-        run_of(
-            "filter",
-            own_map(),
-            in_room(),
-            series=(
-                Series("effective particles", "", stamps, stamps, limit=15.0),
-                Series("map", "MB", stamps, stamps),
-                Series("nothing yet", "", stamps[:0], stamps[:0]),
-            ),
-            other_paths=(in_room(wrong=0.1), in_room(wrong=0.2)),
+    run = run_of(
+        "filter",
+        own_map(),
+        in_room(),
+        series=(
+            Series("effective particles", "", stamps, stamps, limit=15.0),
+            Series("map", "MB", stamps, stamps),
+            Series("nothing yet", "", stamps[:0], stamps[:0]),
         ),
-        config=CONFIG,
-    ).read_text(encoding="utf-8")
+        other_paths=(in_room(wrong=0.1), in_room(wrong=0.2)),
+    )
+    page = write_slam_report(result_of(run, Measures()), tmp_path, CONFIG).read_text(
+        encoding="utf-8"
+    )
     assert "From the top: effective particles, map." in page
     assert page.index("The path and others") < page.index("Over the run")
     names = sorted(path.name for path in tmp_path.glob("*.png"))
     assert names[2:] == ["03-paths.png", "04-over-time.png"]
 
 
-def measured(name: str, wrong: float) -> MeasuredPath:
+def measured(name: str, wrong: float) -> MeasuredTrajectory:
     path, truth = in_room(wrong=wrong), in_room()
     errors = trajectory_errors(path, truth, TrajectoryConfig(alignment="none"))
-    measures = Measures(errors, relations_of_round())
-    return MeasuredPath(trajectory=replace(path, name=name), measures=measures)
+    return MeasuredTrajectory(
+        trajectory=path,
+        measures=Measures(errors, relations_of_round()),
+        file=Path(f"{name}.tum"),
+        ground_truth=GroundTruth(truth=truth),
+        duration_s=59.0,
+        files=LogFiles(),
+        placed=Placed("round", name, Path()),
+    )
 
 
 def test_the_report_of_a_trajectory_says_what_its_numbers_rest_on(tmp_path: Path) -> None:
-    cases = {"round": [measured("graph", 0.1)]}
-    truths = {"round": in_room()}
-    page = write_trajectory_report(tmp_path, cases, config=CONFIG, truths=truths).read_text("utf-8")
+    page = write_trajectories([measured("graph", 0.1)], tmp_path, CONFIG).read_text("utf-8")
     assert "60 of 60 poses met one of round within 0.01 s, not aligned; 59 pairs." in page
     assert "2 of 99 relations used, poses within 0.01 s of both times; " in page
     assert "revisits, translation m" in page
@@ -212,9 +219,8 @@ def test_the_report_of_a_trajectory_says_what_its_numbers_rest_on(tmp_path: Path
 
 def test_several_paths_share_their_figures_and_the_nearest_leads(tmp_path: Path) -> None:
     """One page: all paths over the truth, their errors in one figure, and their distribution."""
-    cases = {"round": [measured("far", 0.3), measured(NASTY, 0.1)]}
     config = replace(CONFIG, report=ReportConfig(("svg",)))
-    page = write_trajectory_report(tmp_path, cases, config=config, truths={"round": in_room()})
+    page = write_trajectories([measured("far", 0.3), measured(NASTY, 0.1)], tmp_path, config)
     text = page.read_text("utf-8")
     assert re.search(r"<h1>&lt;script.*the nearest of 2</h1>", text)
     stems = ["error", "error-distribution", "relations", "relations-distribution"]

@@ -13,15 +13,14 @@ import cv2
 import numpy as np
 import pytest
 
+from slamfusion.align.records import Alignment
 from slamfusion.config import PICTURE_FORMS, NormalizeConfig, ReportConfig, RunConfig
 from slamfusion.errors import SlamFusionError
-from slamfusion.evaluation.map_error import MapError, compare_to_truth
-from slamfusion.report import (
-    write_difference_image,
-    write_evaluation_report,
-    write_failure_report,
-    write_fusion_report,
-)
+from slamfusion.evaluation.map_error import compare_to_truth
+from slamfusion.grid import OccupancyGrid
+from slamfusion.jobs.evaluate import write_evaluation
+from slamfusion.jobs.fuse_documents import Evaluation
+from slamfusion.report import write_failure_report, write_fusion_report
 from slamfusion.slam.registry import with_producers, with_settings
 from tests.report.drawn import NASTY, REASON, alignment, colours_of, explains, fusion, room
 
@@ -81,12 +80,15 @@ def read(path: Path) -> PageReader:
     return page
 
 
-def evaluations() -> list[MapError]:
+def evaluation(grid: OccupancyGrid, found: Alignment | None = None) -> Evaluation:
     truth = room("truth", 7)
-    return [
-        compare_to_truth(grid, truth, normalize=NormalizeConfig(), tolerance_m=0.1)
-        for grid in (room("room 0", 0), room("fused", 7))
-    ]
+    error = compare_to_truth(grid, truth, normalize=NormalizeConfig(), tolerance_m=0.1)
+    aligned = found is None or found.accepted
+    return Evaluation(**vars(error), aligned=aligned, alignment=found)
+
+
+def evaluations(found: Alignment | None = None) -> list[Evaluation]:
+    return [evaluation(room("room 0", 0), found), evaluation(room("fused", 7))]
 
 
 @pytest.fixture(scope="module")
@@ -232,9 +234,9 @@ def test_a_failed_fusion_shows_each_map_and_each_pair(tmp_path: Path) -> None:
 
 
 def test_an_evaluation_report_names_the_nearest_map_and_the_lost_one(tmp_path: Path) -> None:
-    found = [alignment("truth", "room 0", accepted=False), None]
-    path = write_evaluation_report(evaluations(), tmp_path, config=CONFIG, alignments=found)
-    page = read(path)
+    lost = alignment("truth", "room 0", accepted=False)
+    write_evaluation(evaluations(lost), CONFIG, report=tmp_path)
+    page = read(tmp_path / "report.html")
     assert "fused is nearest to truth" in page.text
     assert "room 0 could not be aligned:" in page.text
     assert "not aligned" in page.text
@@ -242,8 +244,8 @@ def test_an_evaluation_report_names_the_nearest_map_and_the_lost_one(tmp_path: P
 
 def test_undefined_measures_are_dashes(tmp_path: Path) -> None:
     empty = replace(room("empty", 1), cells=np.zeros((40, 60), dtype=np.int8))
-    error = compare_to_truth(empty, room("truth", 7), normalize=NormalizeConfig(), tolerance_m=0.1)
-    page = read(write_evaluation_report([error], tmp_path, config=CONFIG))
+    write_evaluation([evaluation(empty)], CONFIG, report=tmp_path)
+    page = read(tmp_path / "report.html")
     assert not re.search(r"\b(nan|inf)\b", page.text)
     assert "None" not in page.text
 
@@ -260,18 +262,18 @@ def test_a_place_that_cannot_be_written_is_one_clear_line(tmp_path: Path) -> Non
 
 def test_pictures_are_also_had_as_svg_and_pdf_the_same_bytes_each_time(tmp_path: Path) -> None:
     config = replace(CONFIG, report=ReportConfig(("svg", "pdf")))
-    write_evaluation_report(evaluations()[:1], tmp_path, config=config)
+    write_evaluation(evaluations()[:1], config, report=tmp_path)
     first = {path.name: path.read_bytes() for path in tmp_path.glob("0*")}
     stems = {Path(name).stem for name in first}
     assert first.keys() == {f"{stem}.{form}" for stem in stems for form in PICTURE_FORMS}
     for name, data in first.items():
         assert data.startswith({".png": b"\x89PNG", ".svg": b"<?xml", ".pdf": b"%PDF"}[name[-4:]])
-    write_evaluation_report(evaluations()[:1], tmp_path, config=config)
+    write_evaluation(evaluations()[:1], config, report=tmp_path)
     assert first == {path.name: path.read_bytes() for path in tmp_path.glob("0*")}
     # A report without them leaves none of an earlier one.
-    write_evaluation_report(evaluations()[:1], tmp_path, config=CONFIG)
+    write_evaluation(evaluations()[:1], CONFIG, report=tmp_path)
     assert {path.suffix for path in tmp_path.iterdir()} == {".png", ".html"}
-    write_difference_image(evaluations()[0], tmp_path / "difference.svg")
+    write_evaluation(evaluations()[:1], CONFIG, images=[tmp_path / "difference.svg"])
     # Title, legend and axes stand in the picture itself.
     text = (tmp_path / "difference.svg").read_text(encoding="utf-8")
     assert all(words in text for words in ("room 0 against truth", "missing wall", "x [m]"))
