@@ -120,7 +120,7 @@ def _work(
 
 
 @cache
-def _program() -> str:
+def program_digest() -> str:
     """Return a hash of the sources that affect a run: of the package and its kernels."""
     package = Path(slamfusion.__file__).parent
     sources = [
@@ -137,7 +137,7 @@ def _fingerprint(task: object, config: RunConfig, facts: Sequence[str]) -> str:
     settings = to_mapping(replace(config, seed=0))
     for unrelated in ("experiment", "live", "graph_optimizer", "simulate", "report"):
         del settings[unrelated]
-    text = json.dumps([repr(task), settings, *facts, _program()], sort_keys=True)
+    text = json.dumps([repr(task), settings, *facts, program_digest()], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 

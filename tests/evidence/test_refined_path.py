@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from slamfusion.evidence import patches
 from slamfusion.evidence.beams import judged_scans
 from slamfusion.evidence.path_frames import fit_frame
 from slamfusion.evidence.refined_path import refine_path
@@ -123,15 +122,15 @@ def test_scans_that_see_no_surface_leave_the_path_alone() -> None:
     assert refine_path(judged_scans(items), truth) is truth
 
 
-def test_a_kind_of_hit_is_as_sure_as_it_spreads() -> None:
-    rng = np.random.default_rng(0)
-    kinds = np.repeat((0, 5, 9), (400, 400, patches.LEAST_OF_KIND - 1))
-    away_m = rng.normal(0.0, 1.0, len(kinds)) * np.repeat(
-        (0.002, 0.08, 5.0), np.bincount(kinds)[[0, 5, 9]]
-    )
-    spreads_m = patches._spreads_m(away_m, kinds)
-    assert spreads_m[0] == pytest.approx(patches.LEAST_SPREAD_M, rel=0.05)
-    assert spreads_m[5] == pytest.approx(0.08, rel=0.2)
-    # Too few of a kind, and none: as all of them.
-    usual_m = 1.4826 * np.median(np.abs(away_m))
-    assert spreads_m[9] == spreads_m[1] == pytest.approx(np.hypot(usual_m, 0.015), rel=1e-6)
+@pytest.mark.parametrize("seed", [1, 2])
+def test_far_hits_that_spread_weigh_less(seed: int) -> None:
+    """As if all were equally sure, the path would be 0.03 and 0.05 m off."""
+    truth = circuit()
+    items = recorded(truth)
+    rng = np.random.default_rng(seed)
+    for item in items:
+        ranges = item.scan.ranges.copy()
+        far = ranges > 3.0
+        ranges[far] += rng.normal(0.0, 0.1, far.sum()).astype(np.float32)
+        object.__setattr__(item.scan, "ranges", ranges)
+    assert off_m(refine_path(judged_scans(items), wavering(truth, 0.05, 0.01)), truth) < 0.02

@@ -82,7 +82,7 @@ def test_other_settings_facts_and_programs_are_run_anew(
     run_all(TASKS, work, setup, [("log", "", tmp_path / "a.log")])
     run_all({**TASKS, "second": 3}, work, setup)
     assert work.tasks == [1, 2] * 3 + [1, 3]
-    monkeypatch.setattr(module, "_program", lambda: "another")
+    monkeypatch.setattr(module, "program_digest", lambda: "another")
     run_all({"first": 1}, work, setup)
     assert work.tasks[-1] == 1
     assert len(work.tasks) == 9

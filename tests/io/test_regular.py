@@ -13,7 +13,7 @@ import pytest
 from slamfusion.errors import LogError, MemoryBudgetError, SlamFusionError
 from slamfusion.evaluation.distances import load_distances
 from slamfusion.evaluation.relations import read_relations
-from slamfusion.io import lines, load_map, open_log, read_trajectory
+from slamfusion.io import load_map, open_log, read_trajectory
 from slamfusion.io.files import open_regular
 from slamfusion.io.scan_odometry import read_scan_odometry
 from slamfusion.pose_graph.g2o import read_g2o
@@ -85,11 +85,9 @@ def test_rows_that_would_not_fit_into_memory_are_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "a.tum"
-    path.write_bytes(b"1 2 3 4\n" * 300)
-    monkeypatch.setattr(lines, "_CHECKED_LINES", 100)
-    assert len(read_trajectory(path)) == 300
-    monkeypatch.setattr("slamfusion.io.files.available_memory", lambda: 150 * lines.ROW_BYTES)
-    with pytest.raises(MemoryBudgetError, match=r"a\.tum: keeping 200 lines needs"):
+    path.write_bytes(b"1 2 3 4\n" * 150_000)
+    monkeypatch.setattr("slamfusion.io.files.available_memory", lambda: 1 << 20)
+    with pytest.raises(MemoryBudgetError, match=r"a\.tum: keeping \d+ lines needs"):
         read_trajectory(path)
 
 

@@ -288,12 +288,15 @@ def test_time_that_goes_back_starts_a_new_drive(device: ComputeDevice) -> None:
 
 
 def test_scans_without_odometry_are_left_out_where_others_have_it(device: ComputeDevice) -> None:
-    robot = Robot(device)
-    for index in (0, 1, 50):
-        robot.scans[index] = replace(robot.scans[index], odometry=None)
-    robot.drive_to(80)
-    solved(robot)
-    assert len(robot.live._scans) == 77
+    first = []
+    for without in ((), (0, 1, 10)):
+        robot = Robot(device)
+        for index in without:
+            robot.scans[index] = replace(robot.scans[index], odometry=None)
+        while robot.live.solve("whole") is None:
+            robot.drive_to(robot.step + 1)
+        first.append(robot.step)
+    assert first[1] == first[0] + 3
 
 
 def test_a_live_fusion_draws_its_first_map_where_the_poses_say(device: ComputeDevice) -> None:
@@ -371,13 +374,26 @@ def test_where_scans_see_too_little_the_pose_is_less_sure(device: ComputeDevice)
     assert math.sqrt(walls.covariance[0, 0]) == pytest.approx(live_drive.DRIFT * way_m, rel=0.3)
 
 
-def test_a_place_that_is_seen_again_is_as_sure_as_before() -> None:
-    x = np.concatenate((np.arange(100), np.arange(100, -1, -1))) * 0.1
-    path = Trajectory(np.arange(len(x)) * 0.1, np.column_stack((x, 0.0 * x, 0.0 * x)), "fused")
-    blind_s = np.arange(2.05, 4.0, 0.1)
-    far = Trajectory(path.stamps_s[:80], path.poses[:80], "fused")
-    assert live_drive._blind_m(far, blind_s) == pytest.approx(2.0)
-    assert live_drive._blind_m(path, blind_s) == pytest.approx(0.0, abs=1e-3)
+def test_a_place_that_is_seen_again_is_as_sure_as_before(device: ComputeDevice) -> None:
+    robot = Robot(device)
+    there = list(zip(robot.scans, robot.truth, strict=True))[:100]
+    ways = [*there, *there[::-1]]
+    robot.truth = [truth for _, truth in ways]
+    robot.scans = [
+        replace(item, scan=replace(item.scan, stamp_s=0.1 * step), odometry=truth)
+        for step, (item, truth) in enumerate(ways)
+    ]
+    for at, item in enumerate(robot.scans[40:70], 40):
+        ranges = np.full_like(item.scan.ranges, np.inf)
+        robot.scans[at] = replace(item, scan=replace(item.scan, ranges=ranges))
+    sigmas_m = []
+    for step in (100, 200):
+        robot.drive_to(step)
+        walls = solved(robot).walls
+        assert walls is not None
+        sigmas_m.append(math.sqrt(walls.covariance[0, 0]))
+    assert sigmas_m[0] > 0.03
+    assert sigmas_m[1] < 0.3 * sigmas_m[0]
 
 
 def test_a_new_room_is_matched_before_a_solution_has_seen_it(device: ComputeDevice) -> None:

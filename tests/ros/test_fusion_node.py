@@ -314,7 +314,8 @@ def test_pose_and_transforms_agree_and_a_point_lands_on_its_fused_cell(
         robot.at(stamp_s, place, transforms)
         observer.listen(0.1)
         # The transforms of the kept maps are a minute and a half older: three bear out the jump.
-        return len(poses) > 3 and {"odom", "a_map", "b_map", "c_map"} <= frames._tree.frames
+        sent = ("odom", "a_map", "b_map", "c_map")
+        return len(poses) > 3 and all(frames.heard_s("fused_map", frame) for frame in sent)
 
     observer.wait(drive, what="the fused pose and the transforms")
     observer.listen(0.5)

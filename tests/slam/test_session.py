@@ -11,10 +11,12 @@ import pytest
 from slamfusion.compute import ComputeDevice, open_device
 from slamfusion.config import LaserMounting, RunConfig
 from slamfusion.errors import ScanError
+from slamfusion.grid import OccupancyGrid
 from slamfusion.io.log import LogScan
 from slamfusion.scan import LaserScan
 from slamfusion.slam.registry import make_producer
 from slamfusion.slam.session import LeftOutError, ProducerSession, QueuedScan
+from slamfusion.slam.tinyslam import TinySlam
 from tests.slam.drives import drive
 
 pytestmark = pytest.mark.once
@@ -113,12 +115,16 @@ def test_a_path_that_nobody_heard_is_read_for_the_first_who_listens() -> None:
     assert not bench.session.snapshot.is_path_due
 
 
-def test_a_map_that_takes_long_is_due_less_often() -> None:
+def test_a_map_that_takes_long_is_due_less_often(monkeypatch: pytest.MonkeyPatch) -> None:
     bench = Bench("tinyslam")
     bench.feed(0, 1, 2)
-    producer = bench.session._producer
-    grid = producer.grid
-    producer.grid = lambda: (setattr(bench, "now_s", bench.now_s + 0.5), grid())[1]
+    draw = TinySlam.grid
+
+    def slow(producer: TinySlam) -> OccupancyGrid:
+        bench.now_s += 0.5
+        return draw(producer)
+
+    monkeypatch.setattr(TinySlam, "grid", slow)
     bench.session.read_map(is_path_heard=False, is_paused=False)
     bench.now_s += 4.0
     assert not bench.session.is_map_due(1.0), "reading takes a tenth of the time at most"
@@ -172,7 +178,7 @@ def test_what_cannot_be_read_or_fails_is_counted_and_the_next_scan_is_fed(
         raise ScanError("no room")
 
     with monkeypatch.context() as patch:
-        patch.setattr(session._producer, "feed", fail)
+        patch.setattr(TinySlam, "feed", fail)
         assert session.feed(bench.queued(2)) is None
     assert session.snapshot.problem == "the SLAM failed: no room"
     assert session.snapshot.left_out == {"no transform from the laser": 1, "the SLAM failed": 1}
