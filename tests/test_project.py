@@ -97,3 +97,16 @@ def test_the_pip_image_copies_what_the_wheel_is_built_of():
     (readme,) = re.findall(r'^readme = "(.*)"$', project, flags=re.MULTILINE)
     for name in (readme, "LICENSE", "pyproject.toml", "kernels", "slamfusion"):
         assert re.search(rf"^COPY .*\b{re.escape(name)}\b", text, flags=re.MULTILINE), name
+
+
+def test_tests_replace_and_import_no_private_names():
+    """What ruff's SLF001 does not see."""
+    private = re.compile(
+        r"""setattr\([^)]*["'](?:[\w.]+\.)?_(?!_)\w+["'] | import\ [^\n]*\b_(?!_)\w+""", re.VERBOSE
+    )
+    found = {
+        path.relative_to(ROOT).as_posix()
+        for path in (ROOT / "tests").rglob("*.py")
+        if private.search(path.read_text(encoding="utf-8"))
+    }
+    assert found <= {"tests/kernels/test_pocl_cache.py"}

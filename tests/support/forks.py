@@ -357,8 +357,8 @@ def _end(code: int) -> None:
     That would copy the memory of all libraries: 0.11 s of processor time for a fork, not 0.01 s.
     The ends of the drivers' libraries are run.
     """
-    threading._shutdown()  # type: ignore[attr-defined]  # waits for all but daemons
-    atexit._run_exitfuncs()
+    threading._shutdown()  # type: ignore[attr-defined]  # noqa: SLF001 - waits for all but daemons
+    atexit._run_exitfuncs()  # noqa: SLF001
     for stream in (sys.stdout, sys.stderr):
         try:
             if stream is not None:
