@@ -72,7 +72,3 @@ class ArrayDevice(ABC):
     @abstractmethod
     def download(self, handle: DeviceArray[Scalar]) -> npt.NDArray[Scalar]:
         """Bring an array back, shape and dtype kept."""
-
-    @abstractmethod
-    def finish(self) -> None:
-        """Wait until the device has finished all its work."""

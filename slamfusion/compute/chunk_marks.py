@@ -94,12 +94,10 @@ class ChunkMarkDevice(ArrayDevice):
         """
         if self.opencl:
             count, (height, width) = beams.shape[0], pages.shape
-            out = self.opencl.empty((count, 2), np.int32)
-            self.opencl.launch(
-                "nearest_marks", (count,), hits, seen, pages, width, height, beams, facings,
-                left_out, count, reach, out,
+            return self.opencl.launch_into(
+                np.empty((count, 2), np.int32), "nearest_marks", (count,), hits, seen, pages, width,
+                height, beams, facings, left_out, count, reach,
             )  # fmt: skip
-            return self.download(out)
         hits, seen, pages = host(hits), host(seen), host(pages)[None]
         beams, facings, left_out = host(beams), host(facings), host(left_out)
         x, y = beams[:, 0].astype(np.int64), beams[:, 1].astype(np.int64)

@@ -73,6 +73,3 @@ class NumpyDevice(ComputeDevice):
     def download(self, handle: DeviceArray[Scalar]) -> npt.NDArray[Scalar]:
         """Return the array itself."""
         return host(handle)
-
-    def finish(self) -> None:
-        """Return at once: each operation ends before it returns."""

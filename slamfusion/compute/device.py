@@ -1,13 +1,11 @@
-"""Choose an OpenCL device and give the reason; offer Intel's (the extra ``intel``) too."""
+"""List OpenCL devices and choose one; offer Intel's (the extra ``intel``) too."""
 
 from __future__ import annotations
 
 import contextlib
 import importlib.metadata
 import os
-import platform
 import shutil
-import sys
 import tempfile
 from collections.abc import Iterator
 from functools import cache
@@ -38,16 +36,10 @@ def intel_library() -> Path | None:
     the usual entries and this one. It is no default where PoCL works, which is as fast; and its
     threads wait busily.
     """
-    if sys.platform != "linux" or platform.machine() != "x86_64":
-        return None
-    try:
-        files = importlib.metadata.files(DISTRIBUTION) or []
-    except importlib.metadata.PackageNotFoundError:
-        return None
-    for file in files:
-        if file.name == LIBRARY:
-            path = Path(str(file.locate())).resolve()
-            return path if path.is_file() else None
+    with contextlib.suppress(importlib.metadata.PackageNotFoundError):
+        for file in importlib.metadata.files(DISTRIBUTION) or []:
+            if file.name == LIBRARY:
+                return Path(str(file.locate())).resolve()
     return None
 
 
@@ -84,11 +76,11 @@ NO_DEVICE = (
 
 
 def find_devices() -> list[Any]:
-    """Return every OpenCL device; PoCL's only if it can store its kernels.
+    """Return every OpenCL device, by preference; PoCL's only if it can store its kernels.
 
     The wheel's PoCL has two for one processor, unless the user's settings say otherwise:
     ``pthread`` runs kernels in its own threads, ``basic`` in the calling thread, a tenth of a
-    millisecond faster. ``basic`` and the extra's Intel device are last.
+    millisecond faster.
     """
     if name_processor() and not os.environ.get("PYOPENCL_CTX"):
         os.environ.setdefault("POCL_DEVICES", "pthread basic")
@@ -105,12 +97,12 @@ def find_devices() -> list[Any]:
             devices.extend(vendor.get_devices())
         except cl.Error:
             continue
-    return sorted(devices, key=_is_behind)
+    return sorted(devices, key=_rank)
 
 
-def _is_behind(device: Any) -> int:
-    """Return the rank of a device in the listed order."""
-    return 2 if is_intel_extra(device) else int(is_single_thread(device))
+def _rank(device: Any, *, small_kernels: bool = False) -> int:
+    """Return the place of a device among those of its type: the extra's Intel device is last."""
+    return 2 if is_intel_extra(device) else int(is_single_thread(device) != small_kernels)
 
 
 def is_single_thread(device: Any) -> bool:
@@ -161,8 +153,8 @@ def list_devices() -> list[DeviceInfo]:
     return infos
 
 
-def choose_device(wanted: str = "auto", *, small_kernels: bool = False) -> tuple[Any, str]:
-    """Return a device and why it was chosen.
+def choose_device(wanted: str = "auto", *, small_kernels: bool = False) -> Any:
+    """Return a device.
 
     Order: the option, then ``PYOPENCL_CTX``, then the first GPU, then the first CPU; the simulator
     only when asked for by name. Of PoCL's two devices the single-thread one where kernels are
@@ -180,7 +172,7 @@ def choose_device(wanted: str = "auto", *, small_kernels: bool = False) -> tuple
     if not devices:
         raise DeviceError(NO_DEVICE)
     if wanted != "auto":
-        return _named(devices, wanted), f"asked for {wanted!r}"
+        return _named(devices, wanted)
     if os.environ.get("PYOPENCL_CTX"):
         try:
             context = cl.create_some_context(interactive=False)
@@ -188,30 +180,19 @@ def choose_device(wanted: str = "auto", *, small_kernels: bool = False) -> tuple
             wish = os.environ["PYOPENCL_CTX"]
             message = f"PYOPENCL_CTX={wish!r} names no device ({error}); correct or unset it"
             raise DeviceError(message) from error
-        return context.devices[0], "PYOPENCL_CTX"
+        return context.devices[0]
     real = [
         device
         for device in devices
         if not is_simulator(device) and device.available and not is_refused(device)
     ]
-    real.sort(key=lambda device: _is_second(device, small_kernels=small_kernels))
-    for kind, words in (
-        (cl.device_type.GPU, "the first GPU"),
-        (cl.device_type.CPU, "the first CPU device, no GPU found"),
-    ):
-        for device in real:
-            if device.type & kind:
-                return device, words
-    if real:
-        return real[0], "the only device"
-    raise _no_device(devices)
-
-
-def _is_second(device: Any, *, small_kernels: bool) -> int:
-    """Return the rank of a device among those of its type."""
-    if is_intel_extra(device):
-        return 2
-    return int(is_single_thread(device) != small_kernels)
+    if not real:
+        raise _no_device(devices)
+    types = ["gpu", "cpu", "other"]
+    return min(
+        real,
+        key=lambda one: (types.index(_type_name(one)), _rank(one, small_kernels=small_kernels)),
+    )
 
 
 def _no_device(devices: list[Any]) -> DeviceError:

@@ -11,7 +11,7 @@ import numpy as np
 import scipy
 
 from slamfusion.compute.arrays import I8, I64, U8, U16, ArrayDevice, DeviceArray, host
-from slamfusion.compute.lattice import fixed_cells
+from slamfusion.compute.lattice import cells_at, fixed_cells
 from slamfusion.compute.layout import (
     DISTANCE_LANES,
     DISTANCE_MAX,
@@ -46,10 +46,10 @@ class FieldDevice(ArrayDevice):
         """
         if self.opencl:
             height, width = cells.shape
-            out = self.opencl.empty(cells.shape, np.uint8)
             size = (-(-width // RUN), height)
-            self.opencl.launch("solid_walls", size, cells, height, width, out)
-            return out
+            return self.opencl.launch_new(
+                cells.shape, np.uint8, "solid_walls", size, cells, height, width
+            )
         cells = host(cells)
         solid = (cells == OCCUPIED) & (_free_neighbours(cells) < SPECK_FREE_CELLS)
         return np.asarray(solid, dtype=np.uint8)
@@ -60,10 +60,10 @@ class FieldDevice(ArrayDevice):
         """Return (H, W) uint8, 1 where a solid wall cell has a free one among its 8 neighbours."""
         if self.opencl:
             height, width = cells.shape
-            out = self.opencl.empty(cells.shape, np.uint8)
             size = (-(-width // RUN), height)
-            self.opencl.launch("surface_walls", size, cells, solid, height, width, out)
-            return out
+            return self.opencl.launch_new(
+                cells.shape, np.uint8, "surface_walls", size, cells, solid, height, width
+            )
         cells, solid = host(cells), host(solid)
         surface = (solid != 0) & (_free_neighbours(cells) > 0)
         return np.asarray(surface, dtype=np.uint8)
@@ -115,12 +115,14 @@ class FieldDevice(ArrayDevice):
                 self.opencl.copy_rows(walls, source)
             # Beyond both edges no wall is within reach.
             reached = padded + 2 * DISTANCE_MAX
-            columns = self.opencl.empty((height, reached), np.uint16)
-            squared = self.opencl.empty((height, padded), np.uint16)
-            lanes = (reached // DISTANCE_LANES,)
-            self.opencl.launch("distance_columns", lanes, source, height, padded, columns)
-            size = (padded // DISTANCE_LANES, height)
-            self.opencl.launch("distance_rows", size, columns, height, padded, reach, squared)
+            columns = self.opencl.launch_new(
+                (height, reached), np.uint16, "distance_columns", (reached // DISTANCE_LANES,),
+                source, height, padded,
+            )  # fmt: skip
+            squared = self.opencl.launch_new(
+                (height, padded), np.uint16, "distance_rows", (padded // DISTANCE_LANES, height),
+                columns, height, padded, reach,
+            )  # fmt: skip
             if padded == width:
                 return squared
             cut = self.opencl.empty((height, width), np.uint16)
@@ -151,12 +153,11 @@ class FieldDevice(ArrayDevice):
             base: worth of a cell that says nothing.
         """
         if self.opencl:
-            out = self.opencl.empty(distance2.shape, np.uint8)
-            cells = distance2.size
             worths = self.opencl.table(hit.astype(np.uint32) | miss.astype(np.uint32) << 16)
-            size = (-(-cells // RUN),)
-            self.opencl.launch("score_field", size, distance2, free_share, worths, base, cells, out)
-            return out
+            return self.opencl.launch_new(
+                distance2.shape, np.uint8, "score_field", (-(-distance2.size // RUN),), distance2,
+                free_share, worths, base, distance2.size,
+            )  # fmt: skip
         distance2, free_share = host(distance2), host(free_share)
         value = base + hit[distance2].astype(np.int32)
         value -= free_share.astype(np.int32) * miss[distance2] // FIELD_ONE
@@ -171,12 +172,10 @@ class FieldDevice(ArrayDevice):
     ) -> DeviceArray[np.uint16]:
         """Return ``table[values]`` where the mask (uint8) is not 0, else ``otherwise[values]``."""
         if self.opencl:
-            out = self.opencl.empty(values.shape, np.uint16)
-            cells = values.size
-            tables = (self.opencl.table(table), self.opencl.table(otherwise))
-            size = (-(-cells // RUN),)
-            self.opencl.launch("look_up_where", size, values, mask, *tables, cells, out)
-            return out
+            return self.opencl.launch_new(
+                values.shape, np.uint16, "look_up_where", (-(-values.size // RUN),), values, mask,
+                self.opencl.table(table), self.opencl.table(otherwise), values.size,
+            )  # fmt: skip
         values, mask = host(values), host(mask)
         return np.where(mask != 0, table[values], otherwise[values]).astype(np.uint16)
 
@@ -189,9 +188,9 @@ class FieldDevice(ArrayDevice):
             height, width = field.shape
             size = (-(-width // WINDOW_LANES), height)
             for along_rows in (True, False):
-                out = self.opencl.empty(field.shape, np.uint8)
-                self.opencl.launch("max_pair", size, field, height, width, shift, along_rows, out)
-                field = out
+                field = self.opencl.launch_new(
+                    field.shape, np.uint8, "max_pair", size, field, height, width, shift, along_rows
+                )
             return field
         best = host(field).copy()
         best[:, :-shift] = np.maximum(best[:, :-shift], best[:, shift:])
@@ -212,25 +211,19 @@ class FieldDevice(ArrayDevice):
             (K, h, w), dtype of ``cells``.
         """
         if self.opencl:
-            warped = self.opencl.empty((len(poses), *shape), cells.dtype)
             size = (-(-shape[1] // RUN), shape[0], len(poses))
-            self.opencl.launch(
-                "warp", size, cells, *cells.shape, self.upload(poses), len(poses), *shape,
-                np.int8(fill), warped,
+            return self.opencl.launch_new(
+                (len(poses), *shape), cells.dtype, "warp", size, cells, *cells.shape,
+                self.upload(poses), len(poses), *shape, np.int8(fill),
             )  # fmt: skip
-            return warped
-        cells = host(cells)
-        height, width = cells.shape
         y2, x2 = np.meshgrid(
             2 * np.arange(shape[0], dtype=np.int64) + 1,
             2 * np.arange(shape[1], dtype=np.int64) + 1,
             indexing="ij",
         )
-        out = np.full((len(poses), *shape), fill, dtype=cells.dtype)
+        out = np.empty((len(poses), *shape), dtype=cells.dtype)
         for k, pose in enumerate(poses):
-            row, col = fixed_cells(pose, x2, y2)
-            inside = (row >= 0) & (col >= 0) & (row < height) & (col < width)
-            out[k][inside] = cells[row[inside], col[inside]]
+            out[k] = cells_at(host(cells), *fixed_cells(pose, x2, y2), fill)
         return out
 
     def confusion(self, a: DeviceArray[np.int8], b: DeviceArray[np.int8], pose: I64) -> I64:
@@ -245,10 +238,9 @@ class FieldDevice(ArrayDevice):
         """
         if self.opencl:
             chunks = -(-a.shape[0] // COUNTED_ROWS)
-            partial = self.opencl.empty((chunks, 9), np.int32)
-            self.opencl.launch(
-                "confusion", (chunks,), a, *a.shape, b, *b.shape, self.upload(pose), COUNTED_ROWS,
-                partial,
+            partial = self.opencl.launch_new(
+                (chunks, 9), np.int32, "confusion", (chunks,), a, *a.shape, b, *b.shape,
+                self.upload(pose), COUNTED_ROWS,
             )  # fmt: skip
             return np.asarray(self.download(partial).sum(axis=0, dtype=np.int64)).reshape(3, 3)
         height, width = a.shape

@@ -356,7 +356,7 @@ class HitCountDevice(ArrayDevice):
                     self.opencl.table(rule.table), rule.shift, rule.reach,
                     np.uint32(rule.occupied), np.uint32(rule.least_hits),
                 )  # fmt: skip
-            return bool(self.opencl.first(full))
+            return bool(self.download(full)[0])
         counts, sums, field, pages = host(counts), host(sums), host(field), host(pages)
         before = counts.copy()
         is_full = _count_on_host(counts, sums, pages, scan)

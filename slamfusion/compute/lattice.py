@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.compute.arrays import I32, I64, ArrayDevice, DeviceArray
+from slamfusion.compute.arrays import I32, I64, ArrayDevice, DeviceArray, Scalar
 from slamfusion.compute.layout import FIXED_ONE, FIXED_TO_CELL_SHIFT, SHIFT_POINTS
 from slamfusion.geometry import F64
 
@@ -37,6 +38,16 @@ def fixed_cells(pose: I64, x2: I64, y2: I64) -> tuple[I64, I64]:
     x = pose[0] * x2 - pose[1] * y2 + pose[2]
     y = pose[1] * x2 + pose[0] * y2 + pose[3]
     return y >> FIXED_TO_CELL_SHIFT, x >> FIXED_TO_CELL_SHIFT
+
+
+def cells_at(
+    cells: npt.NDArray[Scalar], row: npt.NDArray[Any], col: npt.NDArray[Any], otherwise: int
+) -> npt.NDArray[Scalar]:
+    """Return some cells of a grid (H, W); ``otherwise`` outside of it."""
+    inside = (row >= 0) & (col >= 0) & (row < cells.shape[0]) & (col < cells.shape[1])
+    out = np.full(row.shape, otherwise, dtype=cells.dtype)
+    out[inside] = cells[row[inside], col[inside]]
+    return out
 
 
 @dataclass(frozen=True, eq=False)

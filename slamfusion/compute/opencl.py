@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import logging
 import math
 import platform
 import re
 import threading
 import warnings
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Generic
@@ -21,9 +19,9 @@ from slamfusion.compute.arrays import DeviceArray, Scalar
 from slamfusion.compute.compute_device import ComputeDevice
 from slamfusion.compute.device import choose_device, is_simulator, is_single_thread
 from slamfusion.compute.layout import CLIMBERS, EACH_LANE, kernel_options
+from slamfusion.compute.pocl_cache import PLATFORM
 from slamfusion.errors import DeviceError
 
-LOG = logging.getLogger(__name__)
 INCLUDE = re.compile(r'^#include "([\w.]+)"$', flags=re.MULTILINE)
 
 
@@ -64,39 +62,6 @@ def _family_source(folder: Path, family: str) -> str:
     return begin + INCLUDE.sub(write_out, source)
 
 
-class KernelProgram:
-    """All kernels, built for one device."""
-
-    def __init__(self, context: Any, device: Any, options: tuple[str, ...] = ()) -> None:
-        """Build every kernel, with further compiler options; a failure is a DeviceError."""
-        source = kernel_source(kernel_folder())
-        self.options = ("-w", *kernel_options(), *options)
-        LOG.debug("kernels are built with %s", " ".join(self.options))
-        try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore", cl.CompilerWarning)
-                program = cl.Program(context, source).build(
-                    options=list(self.options), devices=[device]
-                )
-        except cl.Error as error:
-            words = " ".join(str(error).split())[:400]
-            message = f"the kernels do not build on {device.name.strip()}: {words}"
-            raise DeviceError(message) from error
-        self._program, self._kernels = program, threading.local()
-
-    def kernel(self, name: str, arguments: Sequence[Any]) -> Any:
-        """Return this thread's kernel object of that name: it holds the arguments of a launch.
-
-        The types of the numbers in its first launch are kept: finding each takes 4 us.
-        """
-        kernel = vars(self._kernels).get(name)
-        if kernel is None:
-            kernel = cl.Kernel(self._program, name)
-            kernel.set_scalar_arg_dtypes([_number_type(item) for item in arguments])
-            setattr(self._kernels, name, kernel)
-        return kernel
-
-
 # PoCL compiles a kernel for every new work-group size, and chooses slow sizes by itself: one fixed
 # size for each number of dimensions. A group of one dimension is a round of a climb.
 LOCAL_SIZES = {1: (CLIMBERS,), 2: (16, 4), 3: (1, 4, 1)}
@@ -135,21 +100,30 @@ class OpenCLDevice(ComputeDevice):
 
     def __init__(self, wanted: str = "auto", *, small_kernels: bool = False) -> None:
         self.wanted = wanted
-        self.device, self.reason = choose_device(wanted, small_kernels=small_kernels)
+        self.device = choose_device(wanted, small_kernels=small_kernels)
         self.name = f"{self.device.name.strip()} ({self.device.platform.name.strip()})"
         self.context = cl.Context([self.device])
         self.queue = cl.CommandQueue(self.context)
-        options = []
         is_cpu = bool(self.device.type & cl.device_type.CPU)
+        self.shares_memory = is_cpu and not is_simulator(self.device)
+        options = ["-w", *kernel_options()]
         is_x86 = platform.machine().lower() in {"x86_64", "amd64"}
-        is_pocl = "portable computing" in self.device.platform.name.lower()
-        if is_cpu and is_x86 and is_pocl:
+        if is_cpu and is_x86 and self.device.platform.name.strip() == PLATFORM:
             options.append("-DUNALIGNED_WORDS")
         if is_single_thread(self.device):
             options.append("-DONE_THREAD")
-        self.program = KernelProgram(self.context, self.device, tuple(options))
+        program = cl.Program(self.context, kernel_source(kernel_folder()))
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", cl.CompilerWarning)
+                self.program = program.build(options=options, devices=[self.device])
+        except cl.Error as error:
+            words = " ".join(str(error).split())[:400]
+            message = f"the kernels do not build on {self.device.name.strip()}: {words}"
+            raise DeviceError(message) from error
+        # The kernel objects of each thread by name: they hold the arguments of a launch.
+        self._kernels = threading.local()
         self._tables: dict[bytes, OpenCLArray[Any]] = {}
-        self.shares_memory = is_cpu and not is_simulator(self.device)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle as the wanted device; see ``shared_device``."""
@@ -168,12 +142,7 @@ class OpenCLDevice(ComputeDevice):
         """Bring an array to the device."""
         dense = np.ascontiguousarray(array)
         flags = cl.mem_flags.READ_WRITE | cl.mem_flags.COPY_HOST_PTR
-        try:
-            buffer = cl.Buffer(self.context, flags, hostbuf=dense)
-        except cl.Error as error:
-            failure = self._failed("upload", error)
-            raise failure from error
-        return OpenCLArray(buffer, dense.shape, dense.dtype)
+        return OpenCLArray(self._reserve(flags, dense.nbytes, dense), dense.shape, dense.dtype)
 
     def download(self, handle: DeviceArray[Scalar]) -> npt.NDArray[Scalar]:
         """Bring an array back."""
@@ -181,20 +150,11 @@ class OpenCLDevice(ComputeDevice):
         cl.enqueue_copy(self.queue, out, self._buffer(handle))
         return out
 
-    def finish(self) -> None:
-        """Wait until the device has finished all its work."""
-        self.queue.finish()
-
     def empty(self, shape: tuple[int, ...], dtype: npt.DTypeLike) -> OpenCLArray[Any]:
         """Reserve an array on the device; its content is undefined."""
         kind = np.dtype(dtype)
         size = max(1, math.prod(shape) * kind.itemsize)
-        try:
-            buffer = cl.Buffer(self.context, cl.mem_flags.READ_WRITE, size)
-        except cl.Error as error:
-            failure = self._failed(f"reserving {size / 2**20:.0f} MiB", error)
-            raise failure from error
-        return OpenCLArray(buffer, shape, kind)
+        return OpenCLArray(self._reserve(cl.mem_flags.READ_WRITE, size), shape, kind)
 
     def wrap_host(
         self, array: npt.NDArray[Scalar], *, writable: bool = False
@@ -210,11 +170,7 @@ class OpenCLDevice(ComputeDevice):
         if not (self.shares_memory and is_aligned):
             return self.empty(array.shape, array.dtype) if writable else self.upload(array)
         access = cl.mem_flags.READ_WRITE if writable else cl.mem_flags.READ_ONLY
-        try:
-            buffer = cl.Buffer(self.context, access | cl.mem_flags.USE_HOST_PTR, hostbuf=array)
-        except cl.Error as error:
-            failure = self._failed("wrapping host memory", error)
-            raise failure from error
+        buffer = self._reserve(access | cl.mem_flags.USE_HOST_PTR, array.nbytes, array)
         return OpenCLArray(buffer, array.shape, array.dtype)
 
     def map_host(self, handle: OpenCLArray[Any], array: npt.NDArray[Any]) -> None:
@@ -226,11 +182,6 @@ class OpenCLDevice(ComputeDevice):
             self.queue, handle.buffer, cl.map_flags.READ, 0, handle.shape, handle.dtype
         )
         mapped.base.release(self.queue)
-
-    def copy(self, source: DeviceArray[Any], target: OpenCLArray[Any]) -> None:
-        """Copy an array over the first elements of one that is as long or longer."""
-        size = source.size * source.dtype.itemsize
-        cl.enqueue_copy(self.queue, target.buffer, self._buffer(source), byte_count=size)
 
     def extended(
         self, array: DeviceArray[Any], count: int, fill: int | None, room: int
@@ -244,7 +195,8 @@ class OpenCLDevice(ComputeDevice):
         if count * math.prod(array.shape[1:]) * array.dtype.itemsize > buffer.size:
             rows = max(room, int(GROWTH * count)) if room else count
             grown = self.empty((rows, *array.shape[1:]), array.dtype)
-            self.copy(array, grown)
+            size = array.size * array.dtype.itemsize
+            cl.enqueue_copy(self.queue, grown.buffer, buffer, byte_count=size)
             if fill is not None:
                 self.fill(grown, fill, first=array.size)
             buffer = grown.buffer
@@ -285,12 +237,6 @@ class OpenCLDevice(ComputeDevice):
             self._tables[key] = self.upload(array)
         return self._tables[key]
 
-    def first(self, handle: DeviceArray[Any]) -> int:
-        """Fetch the first element of an array."""
-        value = np.empty(1, dtype=handle.dtype)
-        cl.enqueue_copy(self.queue, value, self._buffer(handle))
-        return int(value[0])
-
     # -- launching -----------------------------------------------------------------------------
 
     def launch(self, name: str, size: tuple[int, ...], *arguments: Any) -> None:
@@ -301,11 +247,29 @@ class OpenCLDevice(ComputeDevice):
         local = LOCAL_SIZES[len(size)]
         rounded = tuple(-(-s // part) * part for s, part in zip(size, local, strict=True))
         plain = [item.buffer if type(item) is OpenCLArray else item for item in arguments]
+        kernel = vars(self._kernels).get(name)
         try:
-            self.program.kernel(name, plain)(self.queue, rounded, local, *plain)
+            if kernel is None:
+                kernel = cl.Kernel(self.program, name)
+                # The types of the numbers in its first launch: finding each takes 4 us.
+                kernel.set_scalar_arg_dtypes([_number_type(item) for item in plain])
+                setattr(self._kernels, name, kernel)
+            kernel(self.queue, rounded, local, *plain)
         except cl.Error as error:
-            failure = self._failed(f"kernel {name}", error)
-            raise failure from error
+            raise self._failed(f"kernel {name}", error) from error
+
+    def launch_new(
+        self,
+        shape: tuple[int, ...],
+        dtype: npt.DTypeLike,
+        name: str,
+        size: tuple[int, ...],
+        *arguments: Any,
+    ) -> OpenCLArray[Any]:
+        """Start a kernel whose last argument is a new array on the device; return that array."""
+        out = self.empty(shape, dtype)
+        self.launch(name, size, *arguments, out)
+        return out
 
     def launch_into(
         self, result: npt.NDArray[Scalar], name: str, size: tuple[int, ...], *arguments: Any
@@ -316,6 +280,12 @@ class OpenCLDevice(ComputeDevice):
         self.map_host(out, result)
         return result
 
+    def _reserve(self, flags: int, size: int, hostbuf: Any = None) -> Any:
+        try:
+            return cl.Buffer(self.context, flags, size, hostbuf)
+        except cl.Error as error:
+            raise self._failed(f"reserving {size / 2**20:.0f} MiB", error) from error
+
     @staticmethod
     def _buffer(handle: DeviceArray[Any]) -> Any:
         if not isinstance(handle, OpenCLArray):
@@ -324,8 +294,7 @@ class OpenCLDevice(ComputeDevice):
 
     def _failed(self, what: str, error: Exception) -> DeviceError:
         words = " ".join(str(error).split())[:200]
-        message = f"{self.name}: {what} failed ({words}); try `--device numpy`"
-        return DeviceError(message)
+        return DeviceError(f"{self.name}: {what} failed ({words}); try `--device numpy`")
 
 
 def _number_type(item: Any) -> Any:

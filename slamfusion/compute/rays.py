@@ -55,12 +55,10 @@ class RayDevice(ArrayDevice):
             count = len(rays)
             if not count:
                 return np.empty((0, RAY_HIT_FLOATS), dtype=np.float32)
-            found = self.opencl.empty((count, RAY_HIT_FLOATS), np.float32)
-            table = self.upload(ray_table(rays))
-            self.opencl.launch(
-                "cast_rays", (count,), cells, *cells.shape, table, count, reach_cells, found
-            )
-            return self.download(found)
+            return self.opencl.launch_into(
+                np.empty((count, RAY_HIT_FLOATS), np.float32), "cast_rays", (count,), cells,
+                *cells.shape, self.upload(ray_table(rays)), count, reach_cells,
+            )  # fmt: skip
         cells = host(cells)
         x, y, cosine, sine, per_x, per_y = ray_table(rays).T
         start, per = np.stack((x, y)), np.stack((per_x, per_y))

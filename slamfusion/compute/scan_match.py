@@ -129,8 +129,10 @@ class ScanMatchDevice(ArrayDevice):
         x, cols = _span(low[0], high[0], width * TILE)
         y, rows = _span(low[1], high[1], height * TILE)
         if self.opencl:
-            cells = self.opencl.empty((rows, cols), np.uint8)
-            self.opencl.launch("copy_window", (rows,), field, pages, width, x, y, cols, rows, cells)
+            cells = self.opencl.launch_new(
+                (rows, cols), np.uint8, "copy_window", (rows,), field, pages, width, x, y, cols,
+                rows,
+            )  # fmt: skip
             return FieldWindow(cells, (x, y))
         whole = host(_whole(host(field), host(pages)).cells)
         return FieldWindow(whole[y : y + rows, x : x + cols], (x, y))

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from slamfusion.compute.arrays import F32, F64, I32, I64, U16, ArrayDevice, DeviceArray, host
-from slamfusion.compute.lattice import PointPlanes, fixed_cells, narrow_motions, narrowed
+from slamfusion.compute.lattice import PointPlanes, cells_at, fixed_cells, narrow_motions, narrowed
 from slamfusion.compute.layout import (
     DISTANCE_ONE,
     DISTANCE_UNSEEN,
@@ -88,14 +88,11 @@ NEIGHBOUR_STEPS = [(x, y) for x in STEPS for y in STEPS]
 def _narrow_scores(side: ScoredSide, motions: F64, drop: int) -> I32:
     """Return (P,) the sum of the field over the points under moved motions (4, P), in 32 bits."""
     field, shift = host(side.field), FIXED_TO_CELL_SHIFT - drop
-    height, width = field.shape
     out = np.zeros(motions.shape[1], dtype=np.int32)
     x2, y2 = host(side.points.planes)[:, : side.points.count].astype(np.int64)
     for p, (cos, sin, x, y) in enumerate(narrowed(motions, drop).T.astype(np.int64)):
         col, row = (cos * x2 - sin * y2 + x) >> shift, (sin * x2 + cos * y2 + y) >> shift
-        inside = (row >= 0) & (col >= 0) & (row < height) & (col < width)
-        known = field[row[inside], col[inside]]
-        out[p] = known.sum(dtype=np.int64) + side.base * (side.points.count - len(known))
+        out[p] = cells_at(field, row, col, side.base).sum(dtype=np.int64)
     return out
 
 
@@ -164,11 +161,10 @@ def _scores(
     for points, motions, field, base in sides:
         moved, drop = narrow_motions(points, motions)
         n, chunks = moved.shape[1], -(-points.count // CHUNK_SCORED)
-        partial = device.empty((chunks, n, *shape), np.int32)
-        device.launch(
-            kernel, (chunks * n,), points.planes, points.count, points.planes.shape[1],
-            device.upload(moved.astype(np.int64)), n, drop, FIXED_TO_CELL_SHIFT - drop, field,
-            *field.shape, base, CHUNK_SCORED, chunks, partial,
+        partial = device.launch_new(
+            (chunks, n, *shape), np.int32, kernel, (chunks * n,), points.planes, points.count,
+            points.planes.shape[1], device.upload(moved.astype(np.int64)), n, drop,
+            FIXED_TO_CELL_SHIFT - drop, field, *field.shape, base, CHUNK_SCORED, chunks,
         )  # fmt: skip
         started.append(partial)
     # All are started before the first is waited for.
@@ -193,10 +189,9 @@ class SearchDevice(ArrayDevice):
         """
         if self.opencl:
             chunks = -(-a.shape[0] // (stride * CHUNK_ROWS))
-            partial = self.opencl.empty((len(poses), chunks), np.int32)
-            self.opencl.launch(
-                "squared_error", (chunks, len(poses)), a, *a.shape, b, *b.shape,
-                self.upload(poses), len(poses), stride, CHUNK_ROWS, chunks, partial,
+            partial = self.opencl.launch_new(
+                (len(poses), chunks), np.int32, "squared_error", (chunks, len(poses)), a, *a.shape,
+                b, *b.shape, self.upload(poses), len(poses), stride, CHUNK_ROWS, chunks,
             )  # fmt: skip
             return np.asarray(self.download(partial).sum(axis=1, dtype=np.int64))
         a, b = host(a), host(b)
@@ -208,10 +203,7 @@ class SearchDevice(ArrayDevice):
         own = a[::stride, ::stride].astype(np.int64)
         out = np.zeros(len(poses), dtype=np.int64)
         for p, pose in enumerate(poses):
-            row, col = fixed_cells(pose, x2, y2)
-            inside = (row >= 0) & (col >= 0) & (row < b.shape[0]) & (col < b.shape[1])
-            other = np.full(own.shape, UNKNOWN, dtype=np.int64)
-            other[inside] = b[row[inside], col[inside]]
+            other = cells_at(b, *fixed_cells(pose, x2, y2), UNKNOWN)
             out[p] = np.sum((own - other) ** 2)
         return out
 
@@ -241,16 +233,15 @@ class SearchDevice(ArrayDevice):
             planes, field_height, field_width = fields.shape
             count = max(planes, len(offsets))
             height, width = shift_shape
-            sums = self.opencl.empty((count, height, width), np.int32)
             points = offsets.shape[1]
             field_stride = field_height * field_width if planes > 1 else 0
             offset_stride = points if len(offsets) > 1 else 0
-            self.opencl.launch(
-                "correlate", (width // SHIFT_LANES, -(-height // SHIFT_ROWS), count), fields,
-                field_stride, field_width, self.upload(offsets), offset_stride, points,
-                self.upload(spans), base, height, width, count, sums,
+            return self.opencl.launch_new(
+                (count, height, width), np.int32, "correlate",
+                (width // SHIFT_LANES, -(-height // SHIFT_ROWS), count), fields, field_stride,
+                field_width, self.upload(offsets), offset_stride, points, self.upload(spans), base,
+                height, width, count,
             )  # fmt: skip
-            return sums
         fields = host(fields)
         count = max(len(fields), len(offsets))
         height, width = shift_shape
@@ -293,12 +284,10 @@ class SearchDevice(ArrayDevice):
                 *field.shape, least,
             )  # fmt: skip
         starts, field = host(starts), host(field)
-        height, width = field.shape
         out = np.zeros(len(blocks), dtype=np.int32)
         for b, (group, row0, col0) in enumerate(blocks):
             row, col = starts[group, 0] + row0, starts[group, 1] + col0
-            inside = (row >= 0) & (col >= 0) & (row < height) & (col < width)
-            out[b] = field[row[inside], col[inside]].sum(dtype=np.int32)
+            out[b] = cells_at(field, row, col, 0).sum(dtype=np.int32)
         return np.where(out > least, out, np.int32(-1))
 
     def tile_peaks(
@@ -356,11 +345,10 @@ class SearchDevice(ArrayDevice):
         for points, motions, cells, distance2 in sides:
             poses = motions.T.astype(np.int64)
             n, chunks = len(poses), -(-len(points) // CHUNK_POINTS)
-            partial = self.opencl.empty((n, chunks, 2 + 2 * len(limits2)), np.int32)
-            self.opencl.launch(
-                "pose_counts", (chunks, n), self.upload(points), len(points), self.upload(poses), n,
-                cells, distance2, *cells.shape, worths, base, given, len(limits2), CHUNK_POINTS,
-                chunks, partial,
+            partial = self.opencl.launch_new(
+                (n, chunks, 2 + 2 * len(limits2)), np.int32, "pose_counts", (chunks, n),
+                self.upload(points), len(points), self.upload(poses), n, cells, distance2,
+                *cells.shape, worths, base, given, len(limits2), CHUNK_POINTS, chunks,
             )  # fmt: skip
             started.append(partial)
         return [np.asarray(self.download(part).sum(axis=1, dtype=np.int64)) for part in started]
@@ -414,10 +402,9 @@ class SearchDevice(ArrayDevice):
             for points, distance in (forward, backward):
                 sides += [points, points.shape[0], distance, *distance.shape]
                 chunks.append(-(-points.shape[0] // CHUNK_POINTS))
-            partial = self.opencl.empty((sum(chunks), n, REFINE_TERMS), np.float32)
-            self.opencl.launch(
-                "refine_terms", (sum(chunks), n), *sides, n, self.upload(motions), *centre,
-                CHUNK_POINTS, chunks[0], sum(chunks), partial,
+            partial = self.opencl.launch_new(
+                (sum(chunks), n, REFINE_TERMS), np.float32, "refine_terms", (sum(chunks), n),
+                *sides, n, self.upload(motions), *centre, CHUNK_POINTS, chunks[0], sum(chunks),
             )  # fmt: skip
             parts = self.download(partial)
             ahead, back = parts[: chunks[0]], parts[chunks[0] :]

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from slamfusion.compute.arrays import BOOL, F64, I32, I64, U8, ArrayDevice, DeviceArray, host
-from slamfusion.compute.lattice import fixed_cells
+from slamfusion.compute.lattice import cells_at, fixed_cells
 from slamfusion.compute.layout import FACING_PARTS, OPPOSED_PARTS, RUN
 
 
@@ -88,12 +88,10 @@ class WallPieceDevice(ArrayDevice):
             24 the facing.
         """
         if self.opencl:
-            words = self.opencl.empty(field.shape, np.uint32)
-            self.opencl.launch(
-                "piece_words", (-(-field.size // RUN),), field, distance2, cells, facing, base,
-                span, near2, field.size, words,
+            return self.opencl.launch_new(
+                field.shape, np.uint32, "piece_words", (-(-field.size // RUN),), field, distance2,
+                cells, facing, base, span, near2, field.size,
             )  # fmt: skip
-            return words
         field, known = host(field).astype(np.uint32), host(cells) >= 0
         seen = known | (host(distance2) <= near2)
         could = np.where(known, np.uint32(span), field - np.uint32(base)) & np.uint32(255)
@@ -117,10 +115,9 @@ class WallPieceDevice(ArrayDevice):
             (points, starts, facing), _, words, base = side
             poses, turns = side.poses()
             pieces, n = starts.shape[0] - 1, len(poses)
-            sums = self.opencl.empty((3, n, pieces), np.int32)
-            self.opencl.launch(
-                "piece_sums", (n, pieces), points, starts, pieces, facing, int(sided),
-                self.upload(poses), self.upload(turns), n, words, *words.shape, base, sums,
+            sums = self.opencl.launch_new(
+                (3, n, pieces), np.int32, "piece_sums", (n, pieces), points, starts, pieces, facing,
+                int(sided), self.upload(poses), self.upload(turns), n, words, *words.shape, base,
             )  # fmt: skip
             started.append(sums)
         return [self.download(sums) for sums in started]
@@ -128,21 +125,18 @@ class WallPieceDevice(ArrayDevice):
 
 def _piece_sums(side: PieceSide, *, sided: bool) -> I32:
     """Return what one side gives; see ``WallPieceDevice.piece_sums``."""
-    points, starts, sides = (host(part) for part in side.pieces)
+    points, starts = host(side.pieces.points), host(side.pieces.starts)
     words, (poses, turns) = host(side.words).astype(np.int64), side.poses()
-    height, width = words.shape
-    count = len(starts) - 1
+    sides, count = host(side.pieces.sides), len(starts) - 1
     piece = np.repeat(np.arange(count), np.diff(starts))
     out = np.zeros((3, len(poses), count), dtype=np.int32)
     x2, y2 = points.T.astype(np.int64)
     for p, (pose, turn) in enumerate(zip(poses, turns, strict=True)):
-        row, col = fixed_cells(pose, x2, y2)
-        inside = (row >= 0) & (col >= 0) & (row < height) & (col < width)
-        word, mine = words[row[inside], col[inside]], piece[inside]
+        word = cells_at(words, *fixed_cells(pose, x2, y2), side.base)
         value = (word & 255) - side.base
         facing = (word >> 24).astype(np.uint8)
-        tells = ~((value > 0) & sided & is_another(sides[inside], facing, int(turn)))
+        tells = ~((value > 0) & sided & is_another(sides, facing, int(turn)))
         # Whole numbers below 2^53 are exact in the float64 that bincount adds.
         for sums, part in zip(out, (value, word >> 16 & 255, word >> 8 & 1), strict=True):
-            sums[p] = np.bincount(mine, part * tells, count)
+            sums[p] = np.bincount(piece, part * tells, count)
     return out

@@ -199,10 +199,6 @@ class CountingDevice(OpenCLDevice):
         self.work += (0, 0, 0, array.nbytes, 1)
         super().map_host(handle, array)
 
-    def first(self, handle: DeviceArray[Any]) -> int:
-        self.work += (0, 0, 0, handle.dtype.itemsize, 1)
-        return super().first(handle)
-
 
 def count_work(side: int) -> Table:
     """Return what a device has to do for an alignment, and for a scan of each SLAM."""

@@ -88,7 +88,7 @@ def test_intel_is_shown_last_and_equals_the_twins():
 def test_intel_steps_in_where_pocl_is_refused():
     choose = (
         "from slamfusion.compute.device import choose_device\n"
-        "print(choose_device()[0].platform.name)\n"
+        "print(choose_device().platform.name)\n"
     )
     unknown = (
         "import ctypes, os, slamfusion.compute.pocl as pocl\n"
