@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import math
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -16,8 +13,6 @@ from slamfusion.geometry import F64
 
 # Bootstrap samples, samples in memory at once, and the seed.
 DRAWS, DRAWS_AT_ONCE, SEED = 4000, 250, 0
-# Differences that vary by less than this share of the values are rounding.
-ROUNDING = 1e-12
 
 
 @dataclass(frozen=True)
@@ -53,55 +48,6 @@ class ErrorStatistics:
             min=float(values.min()),
             max=float(values.max()),
         )
-
-
-class DifferenceTest(NamedTuple):
-    """A test whether two samples differ; NaN: cannot be tested.
-
-    Attributes:
-        low, high: ends of the 95 % interval of the mean difference, first minus second (Student's
-            t); NaN for unpaired samples.
-        p_t: p-value of the paired t-test, or of Welch's.
-        p_rank: p-value of Wilcoxon's signed-rank test, or of Mann and Whitney's U test. No normal
-            distribution is needed, but with few values it cannot be small (5 pairs: 0.06).
-        p_pooled: p-value of Student's t-test of unpaired values with one variance, the test of
-            [F16].
-    """
-
-    low: float = math.nan
-    high: float = math.nan
-    p_t: float = math.nan
-    p_rank: float = math.nan
-    p_pooled: float = math.nan
-
-
-def difference_test(first: npt.ArrayLike, second: npt.ArrayLike, *, paired: bool) -> DifferenceTest:
-    """Test whether two methods differ in a figure; two-sided, by ``scipy.stats``.
-
-    Args:
-        first: (N,) the figure of one method, in each case or repetition.
-        second: (M,) of the other; paired: (N,), in the same order.
-
-    Returns:
-        All NaN for fewer than two values of either; equal values have no p-value.
-    """
-    a, b = np.asarray(first, dtype=np.float64), np.asarray(second, dtype=np.float64)
-    if min(len(a), len(b)) < 2:
-        return DifferenceTest()
-    with warnings.catch_warnings():
-        # SciPy warns of constant values; their p-value is 0 or NaN.
-        warnings.simplefilter("ignore", RuntimeWarning)
-        pooled = float(scipy.stats.ttest_ind(a, b).pvalue)
-        if not paired:
-            welch = scipy.stats.ttest_ind(a, b, equal_var=False)
-            p_rank = float(scipy.stats.mannwhitneyu(a, b).pvalue)
-            return DifferenceTest(math.nan, math.nan, float(welch.pvalue), p_rank, pooled)
-        if np.abs(a - b).max() <= ROUNDING * np.abs((a, b)).max():
-            return DifferenceTest(0.0, 0.0, p_pooled=pooled)
-        t_test = scipy.stats.ttest_rel(a, b)
-        low, high = map(float, t_test.confidence_interval())
-        p_rank = float(scipy.stats.wilcoxon(a - b).pvalue)
-    return DifferenceTest(low, high, float(t_test.pvalue), p_rank, pooled)
 
 
 def mean_interval(errors: npt.ArrayLike) -> tuple[float, float]:

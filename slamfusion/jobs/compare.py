@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import warnings
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -14,7 +15,7 @@ import scipy.stats
 
 from slamfusion.errors import SlamFusionError
 from slamfusion.evaluation.measured import figure_of
-from slamfusion.evaluation.statistics import correct_by_holm, difference_test
+from slamfusion.evaluation.statistics import correct_by_holm
 from slamfusion.io import write_atomic
 from slamfusion.jobs.inputs import distinct_names
 from slamfusion.jobs.results import KEYS, SavedResults, figures_of, means_of, read_results
@@ -28,6 +29,8 @@ if TYPE_CHECKING:
 PAIRED_BY = (["case", "seed", "method"], ["case", "seed"], ["case", "method"], ["case"])
 # A difference with a smaller p-value counts as one.
 SIGNIFICANT = 0.05
+# Differences that vary by less than this share of the values are rounding.
+ROUNDING = 1e-12
 # Rows without a partner that a note names.
 NAMED_ROWS = 6
 # Roles of the inputs that figures are measured by: other files make other figures.
@@ -60,19 +63,19 @@ class Comparison:
     """Sample standard deviation of the second."""
     difference: float
     """The first mean less the second."""
-    low: float | None
+    low: float | None = math.nan
     """Low end of the interval of the difference: 95 %, wider by Holm's correction for every two of
     several results, so that it agrees with p_holm. Null without pairs."""
-    high: float | None
+    high: float | None = math.nan
     """High end of it."""
-    p_t: float | None
+    p_t: float | None = math.nan
     """P-value of the paired t-test, or of Welch's, not corrected. Null where nothing can be
     tested."""
-    p_holm: float | None
+    p_holm: float | None = math.nan
     """The same after Holm's correction for every two of several results."""
-    p_rank: float | None
+    p_rank: float | None = math.nan
     """P-value of Wilcoxon's signed-rank test, or of Mann and Whitney's; not corrected."""
-    p_pooled: float | None
+    p_pooled: float | None = math.nan
     """P-value of Student's t-test of unpaired values with one variance, the test of [F16]."""
     better: str | None = None
     """The results that are better beyond chance (p_holm below 0.05); null: neither."""
@@ -215,13 +218,17 @@ def compare_values(
     figure: str,
     case: str = "",
 ) -> Comparison:
-    """Compare a figure."""
+    """Compare a figure by two-sided tests of ``scipy.stats``.
+
+    Args:
+        first, second: of each case or repetition; of pairs in the same order. Fewer than two values
+            of either are not tested, and equal values have no p-value.
+    """
     if is_paired:
         both = first.notna() & second.notna()
         first, second = first[both], second[both]
     first, second = first.dropna(), second.dropna()
-    tested = difference_test(first, second, paired=is_paired)
-    return Comparison(
+    found = Comparison(
         figure,
         case,
         *names,
@@ -232,9 +239,26 @@ def compare_values(
         mean_second=float(second.mean()),
         std_second=float(second.std()),
         difference=float(first.mean() - second.mean()),
-        p_holm=tested.p_t,
-        **tested._asdict(),
     )
+    a, b = first.to_numpy(np.float64), second.to_numpy(np.float64)
+    if min(len(a), len(b)) < 2:
+        return found
+    with warnings.catch_warnings():
+        # SciPy warns of constant values; their p-value is 0 or NaN.
+        warnings.simplefilter("ignore", RuntimeWarning)
+        found.p_pooled = float(scipy.stats.ttest_ind(a, b).pvalue)
+        if not is_paired:
+            found.p_t = float(scipy.stats.ttest_ind(a, b, equal_var=False).pvalue)
+            found.p_rank = float(scipy.stats.mannwhitneyu(a, b).pvalue)
+        elif np.abs(a - b).max() <= ROUNDING * np.abs((a, b)).max():
+            found.low = found.high = 0.0
+        else:
+            t_test = scipy.stats.ttest_rel(a, b)
+            found.low, found.high = map(float, t_test.confidence_interval())
+            found.p_t = float(t_test.pvalue)
+            found.p_rank = float(scipy.stats.wilcoxon(a - b).pvalue)
+    found.p_holm = found.p_t
+    return found
 
 
 def _correct(figures: Sequence[Comparison]) -> None:

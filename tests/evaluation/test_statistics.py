@@ -5,15 +5,19 @@ from __future__ import annotations
 from dataclasses import asdict
 
 import numpy as np
+import numpy.typing as npt
+import pandas as pd
 import pytest
 from scipy import stats
 
-from slamfusion.evaluation.statistics import (
-    ErrorStatistics,
-    correct_by_holm,
-    difference_test,
-    mean_interval,
-)
+from slamfusion.evaluation.statistics import ErrorStatistics, correct_by_holm, mean_interval
+from slamfusion.jobs.compare import Comparison, compare_values
+
+
+def difference_test(first: npt.ArrayLike, second: npt.ArrayLike, *, paired: bool) -> Comparison:
+    return compare_values(
+        ("a", "b"), pd.Series(first), pd.Series(second), is_paired=paired, figure="error"
+    )
 
 
 def test_error_statistics_of_a_worked_example() -> None:
@@ -40,7 +44,8 @@ def test_p_values_of_a_worked_example() -> None:
     p_value = 2.0 * stats.t.sf(10.1 / np.sqrt(1.11), 7.9219)
     assert found.p_t == pytest.approx(p_value, rel=1e-3)
     assert np.isnan([found.low, found.high]).all()
-    assert np.isnan(difference_test([1.0], [2.0, 3.0], paired=False)).all()
+    few = difference_test([1.0], [2.0, 3.0], paired=False)
+    assert np.isnan([few.p_t, few.p_holm, few.p_rank, few.p_pooled]).all()
 
 
 @pytest.mark.filterwarnings("error::RuntimeWarning")
@@ -93,7 +98,9 @@ PUBLISHED = {
 def pooled_p(first: tuple[float, float], second: tuple[float, float]) -> float:
     """Return [F16]'s p-value of two means with sample deviations, three repetitions each."""
     samples = (mean + std * np.array([-1.0, 0.0, 1.0]) for mean, std in (first, second))
-    return difference_test(*samples, paired=False).p_pooled
+    p_pooled = difference_test(*samples, paired=False).p_pooled
+    assert p_pooled is not None
+    return p_pooled
 
 
 @pytest.mark.parametrize(
