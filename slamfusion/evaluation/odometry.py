@@ -60,9 +60,7 @@ class DensePoses:
     the scan's, which is the finer one."""
 
 
-def match_odometry(
-    scan_odometry: Trajectory, odometry: Trajectory, tolerance_m: float = _EQUAL_M
-) -> I64:
+def match_odometry(scan_odometry: Trajectory, odometry: Trajectory) -> I64:
     """Find the row of an odometry file for each scan by its pose, not its stamp.
 
     Copies of one odometry may differ by a fixed motion, which is fitted, and by rounding. A robot
@@ -72,7 +70,6 @@ def match_odometry(
     Args:
         scan_odometry: raw odometry of the scans of a log; the stamps may be off by seconds.
         odometry: every row of the file, at least one.
-        tolerance_m: metres and, of the heading, radians.
 
     Returns:
         (N,) row for each scan; -1 if none matches.
@@ -80,9 +77,9 @@ def match_odometry(
     Raises:
         TrajectoryError: no scan has a row.
     """
-    frame = _fit_frame(scan_odometry, odometry, tolerance_m)
+    frame = _fit_frame(scan_odometry, odometry)
     tree = scipy.spatial.KDTree(_features(moved_poses(frame, odometry.poses)))
-    near = tree.query_ball_point(_features(scan_odometry.poses), tolerance_m, return_sorted=True)
+    near = tree.query_ball_point(_features(scan_odometry.poses), _EQUAL_M, return_sorted=True)
     candidates = [
         rows[np.abs(odometry.stamps_s[rows] - stamp_s) <= _WINDOW_S]
         for rows, stamp_s in zip(
@@ -93,7 +90,7 @@ def match_odometry(
     if not any(len(rows) for rows in candidates):
         raise TrajectoryError(
             f"{odometry.name}: no row equals the odometry of a scan of {scan_odometry.name} to "
-            f"{tolerance_m:g} m; give the odometry of the same run, or leave out --log"
+            f"{_EQUAL_M:g} m; give the odometry of the same run, or leave out --log"
         )
     turns = np.arange(len(candidates))
     if sure.any():
@@ -116,7 +113,6 @@ def poses_by_odometry(
     odometry: Trajectory,
     *,
     tolerance_s: float,
-    tolerance_m: float = _EQUAL_M,
 ) -> DensePoses:
     """Return an estimate's poses at every row of an odometry file.
 
@@ -137,7 +133,7 @@ def poses_by_odometry(
     else:
         used, scans = associate(estimate, scan_odometry, tolerance_s)
         _refuse_none(used, estimate, scan_odometry, tolerance_s)
-        rows = match_odometry(scan_odometry, odometry, tolerance_m)[scans]
+        rows = match_odometry(scan_odometry, odometry)[scans]
         used, rows = used[rows >= 0], rows[rows >= 0]
         _refuse_none(used, estimate, odometry, tolerance_s)
     by_row = np.argsort(rows, kind="stable")
@@ -211,7 +207,7 @@ def _refuse_none(used: I64, estimate: Trajectory, other: Trajectory, tolerance_s
     )
 
 
-def _fit_frame(scan_odometry: Trajectory, odometry: Trajectory, tolerance_m: float) -> Pose2:
+def _fit_frame(scan_odometry: Trajectory, odometry: Trajectory) -> Pose2:
     """Return the rigid motion from the frame of ``odometry`` to that of ``scan_odometry``.
 
     A few scans are paired with every row of about their time; the pair wins under which the scans
@@ -221,7 +217,7 @@ def _fit_frame(scan_odometry: Trajectory, odometry: Trajectory, tolerance_m: flo
     scans, rows = scan_odometry.poses, odometry.poses
     tree = scipy.spatial.KDTree(_features(rows))
     judges = scans[np.linspace(0, len(scans) - 1, min(len(scans), _JUDGES)).astype(int)]
-    reach = _ROUGHLY * tolerance_m
+    reach = _ROUGHLY * _EQUAL_M
     best = (math.inf, math.inf)
     frame = IDENTITY
     for anchor in np.unique(np.linspace(0, len(scans) - 1, _ANCHORS + 2).astype(int)[1:-1]):

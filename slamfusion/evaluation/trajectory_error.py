@@ -185,8 +185,6 @@ class TrajectoryErrors:
     """(M, 3), the estimate's matched poses in the frame of the truth."""
     stamps_s: F64 = field(repr=False)
     """(M,), their times."""
-    travelled_m: F64 = field(repr=False)
-    """(M,), true path from the first matched pose to each."""
     translation_m: F64 = field(repr=False)
     """(M,), absolute error of each place."""
     rotation_rad: F64 = field(repr=False)
@@ -257,7 +255,6 @@ def trajectory_errors(
         truth=truth.name,
         aligned=aligned,
         stamps_s=stamps_s,
-        travelled_m=travelled_m,
         translation_m=translation_m,
         rotation_rad=rotation_rad,
         relative_translation_m=relative_m,

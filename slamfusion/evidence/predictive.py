@@ -49,21 +49,17 @@ SIGNIFICANT, SURE = 0.05, 0.01
 
 @dataclass(frozen=True)
 class Comparison:
-    """How one path compares with another.
-
-    Attributes:
-        verdict: of the scans, on the first path against the second.
-        difference: score of the first less that of the second, log-likelihood of a hit.
-        low, high: interval of the difference, 95 % of the draws.
-        p_value: two-sided: share of the draws in which the sign of the difference turns, doubled;
-            1 for equal paths.
-    """
+    """How one path compares with another; of a refined path with the one before."""
 
     verdict: Literal["better", "worse", "cannot tell"]
+    """What the scans say of the first (refined) path against the second, the one before."""
     difference: float
-    low: float
-    high: float
+    """Score of the first path less that of the second, log-likelihood of a hit."""
+    difference_95: tuple[float, float]
+    """Interval of that, 95 % of the draws."""
     p_value: float
+    """Two-sided, of no difference: share of the draws in which its sign turns, doubled; 1 for equal
+    paths."""
 
 
 def compare_sums(
@@ -90,7 +86,7 @@ def compare_sums(
     verdict: Literal["better", "worse", "cannot tell"] = "cannot tell"
     if p_value < SIGNIFICANT:
         verdict = "better" if difference > 0.0 else "worse"
-    return Comparison(verdict, difference, float(low), float(high), p_value)
+    return Comparison(verdict, difference, (float(low), float(high)), p_value)
 
 
 @lru_cache
@@ -144,16 +140,6 @@ class PathScore:
     def consistency(self) -> float:
         """Mean log-likelihood of a judged hit; larger is better, at most 0."""
         return float(self.sums.sum() / self.beams.sum())
-
-    @property
-    def own_share(self) -> float:
-        """Share of the scans for which the path itself has a pose."""
-        return float(self.is_own.mean())
-
-    @property
-    def covered_share(self) -> float:
-        """Share of the scans for which there is a pose, its own or by odometry."""
-        return float(np.isfinite(self.poses[:, 0]).mean())
 
     @property
     def beams_judged(self) -> int:

@@ -332,15 +332,15 @@ def _ranked(evidence: PathEvidence, name: str, best: str, from_fused_m: float | 
         consistency=score.consistency,
         tied=found is None or found.verdict != "better",
         behind=0.0 if found is None else found.difference,
-        behind_95=None if found is None else (found.low, found.high),
+        behind_95=None if found is None else found.difference_95,
         p_value=None if found is None else found.p_value,
         from_fused_m=from_fused_m,
         beams_judged=score.beams_judged,
         scans_judged=int(evidence.is_judged.sum()),
         seen_share=score.seen_share,
         seen_consistency=score.seen_consistency if score.seen.any() else None,
-        own_poses_share=score.own_share,
-        covered_share=score.covered_share,
+        own_poses_share=float(score.is_own.mean()),
+        covered_share=float(np.isfinite(score.poses[:, 0]).mean()),
         over_time=[
             PathTime(
                 float(time_s) - start_s,

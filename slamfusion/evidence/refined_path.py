@@ -30,7 +30,7 @@ start at the odometry is taken: the SLAMs use the odometry too, and distort it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal, TypeAlias
 
 import numpy as np
@@ -41,8 +41,9 @@ from slamfusion.evidence.beams import JudgedScans, cover_stamps
 from slamfusion.evidence.known_motions import KnownMotions, MotionEquations
 from slamfusion.evidence.patches import LATTICES, Patches, SurfaceHits, line_inverses, line_sums
 from slamfusion.evidence.path_frames import laid_onto
-from slamfusion.evidence.predictive import SURE, PathEvidence, with_path
+from slamfusion.evidence.predictive import SURE, Comparison, PathEvidence, with_path
 from slamfusion.geometry import F64, compose_poses, invert_poses, wrap_angles
+from slamfusion.json_values import FLAT
 from slamfusion.trajectory import Trajectory
 
 # Rounds with equal hits before those that are averaged; the most solver steps of a round, and the
@@ -189,14 +190,7 @@ class Refinement:
     """Whether the refined path was taken: it is not where the scans say that it is worse."""
     start: RefinementStart
     """What it was sought from: the path made of those of the SLAMs, or the odometry."""
-    verdict: Literal["better", "worse", "cannot tell"]
-    """What the scans say of the refined path against the one before."""
-    difference: float
-    """Score of the refined path less that of the one before, log-likelihood of a hit."""
-    difference_95: tuple[float, float]
-    """Interval of that, 95 %."""
-    p_value: float
-    """Two-sided, of no difference."""
+    comparison: Comparison = field(metadata=FLAT)
 
 
 def refine_borne_out(
@@ -224,8 +218,7 @@ def refine_borne_out(
     found = both.compare(_REFINED, path.name)
     # A p-value of 0.05 would also reject paths that are closer to the truth.
     taken = found.difference >= 0.0 or found.p_value >= SURE
-    interval = (found.low, found.high)
-    decision = Refinement(taken, start, found.verdict, found.difference, interval, found.p_value)
+    decision = Refinement(taken, start, found)
     if not taken:
         return path, with_given, decision
     scores = dict(both.scores)

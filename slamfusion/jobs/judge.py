@@ -42,20 +42,29 @@ class JudgedPaths:
     evidence: PathEvidence = field(repr=False)
     recommendation: Recommendation
     """Which path to use, and what to check first."""
-    path_evidence: Sequence[RankedPath]
+    path_evidence: Sequence[RankedPath] = field(init=False)
     """What the scans say of each path, the recommended one first."""
     paths: Sequence[MeasuredPath]
     """The paths as they were given."""
     fused_path: FusedPath | None
     """The path fused of them, with ``--fused``."""
-    ranking_by_truth: Sequence[str]
+    ranking_by_truth: Sequence[str] = field(init=False)
     """The paths by their ATE, the least first; empty without a truth."""
-    ranking_by_relations: Sequence[str]
+    ranking_by_relations: Sequence[str] = field(init=False)
     """The paths by their mean error on the relations, the least first; empty without relations."""
     not_measured: Sequence[str]
     """What could not be measured, a sentence each."""
     files: LogFiles = field(metadata=FLAT)
     circumstances: Circumstances = field(repr=False)
+
+    def __post_init__(self) -> None:
+        """Rank the paths."""
+        ranked = errors_m(self.measured)
+        vars(self).update(
+            path_evidence=self.recommendation.paths,
+            ranking_by_truth=tuple(ranked["ATE"]),
+            ranking_by_relations=tuple(ranked["relations"]),
+        )
 
     @property
     def measured(self) -> tuple[MeasuredPath, ...]:
@@ -185,15 +194,11 @@ def judge_paths(
     if fused_path is not None:
         own = measured(fused_path.trajectory)
         fused_path = replace(fused_path, measures=own, file=fused_file)
-    ranked = errors_m([*paths_found, *([] if fused_path is None else [fused_path])])
     return JudgedPaths(
         evidence=evidence,
         recommendation=found,
-        path_evidence=found.paths,
         paths=paths_found,
         fused_path=fused_path,
-        ranking_by_truth=tuple(ranked["ATE"]),
-        ranking_by_relations=tuple(ranked["relations"]),
         not_measured=not_measured,
         files=files,
         circumstances=Circumstances(device.name, config),

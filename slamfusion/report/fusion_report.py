@@ -83,8 +83,6 @@ def _banner(result: FusionResult, failure: str | None) -> page.Banner:
     total, fused = len(result.inputs) - len(result.copies), len(result.accepted)
     if failure is not None:
         return page.Banner("bad", "Do not use this map", [("", failure), *lines])
-    if fused < 2:
-        return page.Banner("bad", f"Not a vote: only {fused} of {total} maps remains", lines)
     if result.rejected:
         return page.Banner("warn", f"Only {fused} of {total} maps were fused", lines)
     tone = "warn" if _weak(result) else "good"

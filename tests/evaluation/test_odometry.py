@@ -22,7 +22,6 @@ from tests.support.examples import examples
 
 INTEL = DATASETS / "intel"
 TOLERANCE_S = 0.01
-TOLERANCE_M = 0.005
 START_S = 1000.0
 
 
@@ -60,9 +59,7 @@ def own_relations(path: Trajectory, count: int = 300) -> Relations:
 def test_at_every_row_the_estimate_is_kept() -> None:
     truth, odometry = run()
     for scans in (None, odometry):
-        dense = poses_by_odometry(
-            truth, scans, odometry, tolerance_s=TOLERANCE_S, tolerance_m=TOLERANCE_M
-        )
+        dense = poses_by_odometry(truth, scans, odometry, tolerance_s=TOLERANCE_S)
         found = relation_errors(dense.trajectory, own_relations(truth), TOLERANCE_S)
         assert found.relations_used == 300
         assert found.translation.mean < 0.002
@@ -74,9 +71,7 @@ def test_between_scans_the_wheels_carry_the_pose_on() -> None:
     truth, odometry = run()
     every_tenth = np.arange(0, 400, 10)
     estimate = part(truth, every_tenth)
-    dense = poses_by_odometry(
-        estimate, None, odometry, tolerance_s=TOLERANCE_S, tolerance_m=TOLERANCE_M
-    )
+    dense = poses_by_odometry(estimate, None, odometry, tolerance_s=TOLERANCE_S)
     # Row 13 belongs to scan 10, row 17 to scan 20, row 15 to the earlier of the two.
     for row, scan in ((13, 10), (17, 20), (15, 10)):
         step = odometry.pose(scan).inverse().compose(odometry.pose(row))
@@ -106,7 +101,7 @@ def test_rows_are_found_in_another_frame_and_with_wrong_stamps(
     late = np.random.default_rng(seed).uniform(-3.0, 3.0, 150)
     exact = part(odometry, rows, late)
     poses = compose_poses((x, y, yaw_rad), exact.poses)
-    matched = match_odometry(Trajectory(exact.stamps_s, poses), odometry, TOLERANCE_M)
+    matched = match_odometry(Trajectory(exact.stamps_s, poses), odometry)
     assert np.count_nonzero(matched >= 0) == 150
     found = odometry.poses[matched]
     np.testing.assert_allclose(found, odometry.poses[rows], atol=1e-9)
@@ -123,9 +118,7 @@ def test_stamps_that_are_off_do_no_harm_where_the_log_is_known() -> None:
     relations = own_relations(truth)
     means = {}
     for known in (scans, None):
-        dense = poses_by_odometry(
-            estimate, known, odometry, tolerance_s=TOLERANCE_S, tolerance_m=TOLERANCE_M
-        )
+        dense = poses_by_odometry(estimate, known, odometry, tolerance_s=TOLERANCE_S)
         found = relation_errors(dense.trajectory, relations, TOLERANCE_S)
         means[dense.rows_found_by] = found.translation.mean
     assert means["odometry"] < 0.05
@@ -139,7 +132,7 @@ def test_a_place_that_is_met_again_minutes_later_is_another_row() -> None:
     poses = np.column_stack((radius * np.cos(turn), radius * np.sin(turn), turn))
     odometry = Trajectory(0.2 * np.arange(1000), poses, "laps")
     rows = np.arange(0, 1000, 7)
-    matched = match_odometry(part(odometry, rows, 0.3), odometry, TOLERANCE_M)
+    matched = match_odometry(part(odometry, rows, 0.3), odometry)
     assert matched.tolist() == rows.tolist()
 
 
@@ -150,10 +143,8 @@ def test_scans_without_a_row_are_counted_and_left_out() -> None:
     wrong = scans.poses.copy()
     wrong[7] += (0.02, 0.0, 0.0)
     scans = Trajectory(scans.stamps_s, wrong, "scans")
-    assert match_odometry(scans, odometry, TOLERANCE_M)[7] == -1
-    dense = poses_by_odometry(
-        part(truth, rows), scans, odometry, tolerance_s=TOLERANCE_S, tolerance_m=TOLERANCE_M
-    )
+    assert match_odometry(scans, odometry)[7] == -1
+    dense = poses_by_odometry(part(truth, rows), scans, odometry, tolerance_s=TOLERANCE_S)
     assert dense.poses_without_row == 1
     assert dense.rows_found_by == "odometry"
 
@@ -163,11 +154,11 @@ def test_odometry_of_another_run_is_refused() -> None:
     _, other = run(seed=4)
     late = Trajectory(other.stamps_s + 5000.0, other.poses, "other")
     with pytest.raises(TrajectoryError, match=r"other: no row equals the odometry of a scan"):
-        match_odometry(odometry, late, TOLERANCE_M)
+        match_odometry(odometry, late)
     with pytest.raises(TrajectoryError, match=r"truth: no pose .* 1000\.000 .* 6000\.000"):
-        poses_by_odometry(truth, None, late, tolerance_s=0.01, tolerance_m=TOLERANCE_M)
+        poses_by_odometry(truth, None, late, tolerance_s=0.01)
     with pytest.raises(TrajectoryError, match=r"truth: no pose .* of other .* 6000\.000"):
-        poses_by_odometry(truth, late, odometry, tolerance_s=0.01, tolerance_m=TOLERANCE_M)
+        poses_by_odometry(truth, late, odometry, tolerance_s=0.01)
 
 
 def least_cost(poses_s: list[float], rows_s: list[float], tolerance_s: float) -> float:
@@ -218,9 +209,7 @@ def score(
     estimate: Trajectory, scans: Trajectory | None, odometry: Trajectory, relations: Relations
 ) -> tuple[float, float]:
     """Mean and deviation of the translation error; all relations must count."""
-    dense = poses_by_odometry(
-        estimate, scans, odometry, tolerance_s=TOLERANCE_S, tolerance_m=TOLERANCE_M
-    )
+    dense = poses_by_odometry(estimate, scans, odometry, tolerance_s=TOLERANCE_S)
     found = relation_errors(dense.trajectory, relations, TOLERANCE_S)
     assert found.relations_used == len(relations)
     return found.translation.mean, found.translation.std
@@ -233,7 +222,7 @@ def test_every_scan_of_intel_has_its_row_and_paths_their_known_errors(
     log: str, scans_in_it: int
 ) -> None:
     scans, odometry, relations = intel(log)
-    matched = match_odometry(scans, odometry, TOLERANCE_M)
+    matched = match_odometry(scans, odometry)
     assert np.count_nonzero(matched >= 0) == scans_in_it
     assert len(relations) == 2984
     assert score(scans, scans, odometry, relations)[0] == pytest.approx(7.39, abs=0.02)

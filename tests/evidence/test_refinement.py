@@ -33,7 +33,7 @@ def test_a_path_that_lays_walls_on_each_other_is_taken(
     given = wavy(truth)
     path, with_refined, found = refine_borne_out(evidence, given, device)
     assert found.taken
-    assert found.verdict == "better"
+    assert found.comparison.verdict == "better"
     assert path.name == "fused"
     assert not np.array_equal(path.poses, given.poses)
     assert tuple(with_refined.scores) == ("truth", "fused")
@@ -54,21 +54,21 @@ def test_a_path_that_the_scans_speak_against_is_not_taken(
     )
     path, with_given, found = refine_borne_out(evidence, given, device)
     assert not found.taken
-    assert found.verdict == "worse"
+    assert found.comparison.verdict == "worse"
     assert path is given
     before = with_path(evidence, "fused", given, device).scores["fused"]
     assert with_given.scores["fused"].consistency == before.consistency
     assert tuple(with_given.scores) == ("other", "fused")
     # What comes by chance more often than once in a hundred times speaks against neither.
-    monkeypatch.setattr(refined_path, "SURE", found.p_value)
+    monkeypatch.setattr(refined_path, "SURE", found.comparison.p_value)
     assert refine_borne_out(evidence, given, device)[2].taken
     assert plain(found) == {
         "taken": False,
         "start": "paths",
         "verdict": "worse",
-        "difference": found.difference,
-        "difference_95": [*found.difference_95],
-        "p_value": found.p_value,
+        "difference": found.comparison.difference,
+        "difference_95": [*found.comparison.difference_95],
+        "p_value": found.comparison.p_value,
     }
 
 
@@ -95,7 +95,7 @@ def test_where_the_odometry_is_nearer_the_path_is_sought_from_it(
     path, with_refined, found = refine_borne_out(evidence, given, device)
     assert (found.taken, found.start) == (True, "odometry")
     assert plain(found)["start"] == "odometry"
-    assert found.verdict == "better"
+    assert found.comparison.verdict == "better"
     assert worst_m(given, truth) > 0.5
     assert worst_m(path, truth) < 0.05
     # It has the name, the stamps and the frame of the path that was given.
