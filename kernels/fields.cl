@@ -220,6 +220,21 @@ __kernel void score_field(__global const ushort *distance2, __global const uchar
   }
 }
 
+/* How much of the known cells lies at each squared distance to a wall, over chunks of cells:
+ * partial[chunk, d2] = the sum of FIELD_ONE for each wall and the free share of other cells.
+ * distance2 (cells) ushort; wall (cells) uchar 0 or 1; free_share (cells) uchar 0..255;
+ * partial (chunks, DISTANCE2_MAX + 1) int. Global: (1, chunks, 1). */
+__kernel void known_by_distance(__global const ushort *distance2, __global const uchar *wall,
+                                __global const uchar *free_share, const int cells,
+                                const int chunk, const int chunks, __global int *partial) {
+  const int c = get_global_id(1);
+  if (c >= chunks) return;
+  __global int *sums = partial + (size_t)c * (DISTANCE2_MAX + 1);
+  for (int d2 = 0; d2 <= DISTANCE2_MAX; d2++) sums[d2] = 0;
+  const int stop = LOWER((c + 1) * chunk, cells);
+  for (int i = c * chunk; i < stop; i++) sums[distance2[i]] += wall[i] ? FIELD_ONE : free_share[i];
+}
+
 /* One doubling of a window maximum: the larger of each cell and the cell `shift` farther along the
  * row or the column; cells outside count as 0.
  * field, out (height, width) uchar, not the same buffer.

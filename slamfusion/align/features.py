@@ -52,8 +52,6 @@ SOFT_GAIN = 1.25
 SOLID_REACH = 24
 # Small results, which ``release`` keeps.
 SMALL = ("near_wall_share", "_known_at_distance", "directions")
-# Cells that are counted at once.
-COUNTED_CELLS = 1 << 20
 # The greatest worth of a wall.
 FIELD_TOP = 255
 # The reported score: a byte serves single lookups.
@@ -272,20 +270,14 @@ class GridFeatures:
         """
         known = self._known_at_distance(step)
         total = float(known.sum())
-        return float(likeness(sigma)[: len(known)] @ known) / total if total > 0 else 1.0
+        return float(likeness(sigma) @ known) / total if total > 0 else 1.0
 
     @_kept
     def _known_at_distance(self, step: int) -> npt.NDArray[np.float64]:
-        """Return (N,) the known cells of a level by squared distance to a wall."""
+        """Return (4097,) the known cells of a level by squared distance to a wall."""
         level = self.level(step)
-        distance2 = level.host_distance2
-        if step == 1:
-            is_known = self.grid.cells == 0
-            is_known[level.points[:, 1] // 2, level.points[:, 0] // 2] = True
-            return _sums_by_distance(distance2, is_known)
-        share = self.device.download(level.free).copy()
-        share[self.device.download(level.wall) != 0] = FIELD_ONE
-        return _sums_by_distance(distance2, share) / FIELD_ONE
+        sums = self.device.known_by_distance(level.distance2, level.wall, level.free)
+        return np.asarray(sums / FIELD_ONE)
 
     @_kept
     def wall_planes(self, step: int, most: int) -> PointPlanes:
@@ -358,25 +350,6 @@ class GridFeatures:
         return self.device.score_field(
             level.distance2, level.free, table.hit, table.miss, table.base
         )
-
-
-def _sums_by_distance(
-    distance2: npt.NDArray[np.uint16], weights: npt.NDArray[np.uint8] | npt.NDArray[np.bool_]
-) -> npt.NDArray[np.float64]:
-    """Return (N,) the sums of weights, or how many are set, by squared distance."""
-    sums = np.zeros(int(distance2.max(initial=0)) + 1)
-    # Counting takes sixteen bytes per cell, so a large level is counted in parts.
-    parts = 1 + weights.size // COUNTED_CELLS
-    for squares, some in zip(
-        np.array_split(distance2, parts), np.array_split(weights, parts), strict=True
-    ):
-        if some.dtype == np.bool_:
-            # Twice the distance, plus one where set: faster than weights or a mask.
-            each = np.bincount((2 * squares + some.view(np.uint8)).ravel(), minlength=2 * len(sums))
-            sums += each[1::2]
-        else:
-            sums += np.bincount(squares.ravel(), some.ravel(), len(sums))
-    return sums
 
 
 def _lattice_points(mask: npt.NDArray[np.uint8]) -> npt.NDArray[np.int32]:

@@ -13,6 +13,7 @@ import scipy
 from slamfusion.compute.arrays import I8, I64, U8, U16, ArrayDevice, DeviceArray, host
 from slamfusion.compute.lattice import cells_at, fixed_cells
 from slamfusion.compute.layout import (
+    DISTANCE2_MAX,
     DISTANCE_LANES,
     DISTANCE_MAX,
     FIELD_ONE,
@@ -25,8 +26,8 @@ from slamfusion.compute.layout import (
 )
 
 Cell = TypeVar("Cell", np.int8, np.uint8)
-# Rows whose cells one work item counts; the host adds the counts.
-COUNTED_ROWS = 16
+# Rows or cells that one work item counts; the host adds the counts.
+COUNTED_ROWS, COUNTED_CELLS = 16, 1 << 15
 
 
 def _free_neighbours(cells: I8) -> U8:
@@ -135,6 +136,31 @@ class FieldDevice(ArrayDevice):
         own_rows, own_cols = np.indices(walls.shape)
         squared = (rows - own_rows) ** 2 + (cols - own_cols) ** 2
         return np.asarray(np.minimum(squared, reach**2), dtype=np.uint16)
+
+    def known_by_distance(
+        self,
+        distance2: DeviceArray[np.uint16],
+        wall: DeviceArray[np.uint8],
+        free_share: DeviceArray[np.uint8],
+    ) -> I64:
+        """Return (4097,) how much of the cells is known, by squared distance to a wall.
+
+        Of a wall (uint8, 1) ``FIELD_ONE``, of another cell its free share (uint8, 0..255).
+        """
+        if self.opencl:
+            chunks = -(-distance2.size // COUNTED_CELLS)
+            partial = self.opencl.empty((chunks, DISTANCE2_MAX + 1), np.int32)
+            self.opencl.launch(
+                "known_by_distance", (1, chunks, 1), distance2, wall, free_share, distance2.size,
+                COUNTED_CELLS, chunks, partial,
+            )  # fmt: skip
+            return np.asarray(self.download(partial).sum(axis=0, dtype=np.int64))
+        known = np.where(host(wall) != 0, np.uint8(FIELD_ONE), host(free_share))
+        sums = np.zeros(DISTANCE2_MAX + 1, dtype=np.int64)
+        for row, weights in zip(host(distance2), known, strict=True):
+            # Whole numbers below 2^53 are exact in the float64 that bincount adds.
+            sums += np.bincount(row, weights, len(sums)).astype(np.int64)
+        return sums
 
     def score_field(
         self,

@@ -70,6 +70,11 @@ def _score_field(device: ComputeDevice, sample: Sample) -> Arrays:
     return fetch(device, [field])
 
 
+def _known_by_distance(device: ComputeDevice, sample: Sample) -> Arrays:
+    planes = (sample.distance2, sample.walls, sample.field)
+    return [device.known_by_distance(*(device.upload(plane) for plane in planes))]
+
+
 def _look_up_where(device: ComputeDevice, sample: Sample) -> Arrays:
     distance2, mask = device.upload(sample.distance2), device.upload(sample.walls)
     tables = (DISTANCE_TABLE, DISTANCE_TABLE[::-1].copy())
@@ -277,6 +282,7 @@ GRID_CHECKS: dict[str, Check] = {
     "surface_walls": _surface_walls,
     "shrink": _shrink,
     "distance_squared": _distance_squared,
+    "known_by_distance": _known_by_distance,
     "look_up_where": _look_up_where,
     "score_field": _score_field,
     "max_ahead": _max_ahead,
