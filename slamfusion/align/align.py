@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Collection
+from collections.abc import Collection, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import lru_cache
+from threading import Lock
 
 import numpy as np
 
@@ -31,6 +33,11 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.config import AlignConfig, FusionConfig, NormalizeConfig
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
+
+# Half of an alignment is the host's, so a second thread keeps the device busy.
+THREADS = 2
+# Held while a map is made ready, so that threads do not make one twice.
+MAKING = Lock()
 
 
 def align_grids(
@@ -58,11 +65,25 @@ def align_grids(
         # The last small ones are kept: one truth has many maps.
         cells = grid.cells.size * (grid.resolution / resolution) ** 2
         make = _kept if cells <= KEPT_CELLS else _kept.__wrapped__
-        features.append(make(grid, resolution, config.normalize, device))
+        with MAKING:
+            features.append(make(grid, resolution, config.normalize, device))
     return align_pair(Pair(*features), config.align, start)
 
 
-@lru_cache(maxsize=2)
+def align_each(
+    reference: OccupancyGrid,
+    grids: Sequence[OccupancyGrid],
+    config: FusionConfig,
+    device: ComputeDevice,
+) -> Iterator[Alignment]:
+    """Yield the alignment of each grid to a reference, see ``align_grids``: two small at a time."""
+    is_small = all(grid.cells.size <= KEPT_CELLS for grid in (reference, *grids))
+    with ThreadPoolExecutor(THREADS if is_small else 1) as threads:
+        yield from threads.map(lambda grid: align_grids(reference, grid, config, device), grids)
+
+
+# One reference, and a map of each thread of ``align_each``.
+@lru_cache(maxsize=1 + THREADS)
 def _kept(
     grid: OccupancyGrid, resolution: float, config: NormalizeConfig, device: ComputeDevice
 ) -> GridFeatures:

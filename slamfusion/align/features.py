@@ -68,10 +68,6 @@ FIELD_BYTES, FREE_SHARE = 40, 0.5
 SPARING_BYTES = 2**28
 # Largest grid whose features are kept for its next alignment, cells; each takes ``FIELD_BYTES``.
 KEPT_CELLS = 1 << 20
-
-
-# Held while features are made, since two threads may align one map with others.
-MAKING = RLock()
 # Directions of walls, degrees; a wall has none beyond 180. Histogram of one degree.
 DIRECTIONS = 180
 # Cells on the longest side of the picture whose gradients are the directions, its blur, and the
@@ -145,7 +141,7 @@ def _kept(
     @wraps(make)
     def get(features: GridFeatures, /, *given: P.args, **named: P.kwargs) -> R:
         key = (make.__name__, *given, *named.values())
-        with MAKING:
+        with features.making:
             made = features._made  # noqa: SLF001 - of the class below
             if key not in made:
                 made[key] = make(features, *given, **named)
@@ -164,6 +160,8 @@ class GridFeatures:
         """Prepare a map; fields are computed at first use; ``memory`` may release them."""
         self.given, self.grid = grid, _without_rims(grid)
         self.device, self._memory = device, memory
+        # Held while something is made, since two threads may align a map with others.
+        self.making = RLock()
         self._made: dict[tuple[Any, ...], Any] = {}
 
     @property
@@ -229,7 +227,7 @@ class GridFeatures:
 
     def level(self, step: int) -> Level:
         """Return the grid at ``step`` fine cells a cell."""
-        with MAKING:
+        with self.making:
             if self._memory is not None:
                 self._memory.use(self, is_more=("_level", step) not in self._made)
             return self._level(step)
@@ -454,22 +452,26 @@ class FieldMemory:
             cells = (min(room, SPARING_BYTES) if is_sparing else room) // FIELD_BYTES
         self._most = cells
         self._used: dict[int, GridFeatures] = {}
+        self._lock = RLock()
 
     def use(self, fields: GridFeatures, *, is_more: bool) -> None:
         """Mark a map as used, and make room if it will hold more."""
-        self._used.pop(id(fields), None)
-        self._used[id(fields)] = fields
-        before, held = len(self._used), sum(math.prod(one.shape) for one in self._used.values())
-        while is_more and held > self._most and len(self._used) > LEAST_KEPT:
-            oldest = self._used.pop(next(iter(self._used)))
-            held -= math.prod(oldest.shape)
-            oldest.release()
-        if len(self._used) < before:
+        with self._lock:
+            self._used.pop(id(fields), None)
+            self._used[id(fields)] = fields
+            before, held = len(self._used), sum(math.prod(one.shape) for one in self._used.values())
+            while is_more and held > self._most and len(self._used) > LEAST_KEPT:
+                oldest = self._used.pop(next(iter(self._used)))
+                held -= math.prod(oldest.shape)
+                oldest.release()
+            is_less = len(self._used) < before
+        if is_less:
             return_freed_memory()
 
     def forget(self, fields: GridFeatures) -> None:
         """Note that a map holds nothing."""
-        self._used.pop(id(fields), None)
+        with self._lock:
+            self._used.pop(id(fields), None)
 
     def clear(self) -> None:
         """Release everything."""

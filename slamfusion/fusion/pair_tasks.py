@@ -14,6 +14,7 @@ from collections.abc import Callable
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from functools import lru_cache
 
+from slamfusion.align.align import THREADS
 from slamfusion.align.features import KEPT_CELLS, GridFeatures
 from slamfusion.align.normalize import NormalizedGrid
 from slamfusion.align.pair import Pair
@@ -22,8 +23,6 @@ from slamfusion.align.starts import StartPose
 from slamfusion.compute import ComputeDevice
 from slamfusion.fleet import tasks_ahead
 
-# Half of an alignment is the host's, so a second thread keeps the device busy.
-THREADS = 2
 # A grid in transit, pickled and compressed to about a tenth, and whether its fields are kept.
 Packed = tuple[bytes, bool]
 

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+from slamfusion.align.align import align_each
 from slamfusion.align.records import FusionResult
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
@@ -17,7 +18,7 @@ from slamfusion.evaluation.distances import (
 )
 from slamfusion.evaluation.map_error import compare_to_truth
 from slamfusion.evaluation.measured import Row, map_figures, result_rows
-from slamfusion.fusion import align_grids, fuse_grids
+from slamfusion.fusion import fuse_grids
 from slamfusion.geometry import Pose2
 from slamfusion.io import AtomicFiles, write_atomic
 from slamfusion.jobs import inputs
@@ -132,15 +133,15 @@ def evaluate_maps(
     if scale is not None:
         searched = replace(config, fusion=search)
         plans = align_plan_with_all(grids, true_grid, searched, device, scale)
+    is_searched = align and plans is None
+    found = align_each(true_grid, grids if is_searched else (), search, device)
     evaluations = []
     for done, grid in enumerate(grids):
         if progress is not None:
             progress("evaluate", done, len(grids))
-        alignment, truth = None, true_grid
+        alignment, truth = next(found, None), true_grid
         if plans is not None:
             alignment, truth = plans[done].of_map, plans[done].plan
-        elif align:
-            alignment = align_grids(true_grid, grid, search, device)
         error = compare_to_truth(
             grid,
             truth,
