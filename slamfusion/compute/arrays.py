@@ -42,9 +42,6 @@ class DeviceArray(Protocol[Scalar_co]):
     def size(self) -> int:
         """Elements."""
 
-    def reshape(self, shape: tuple[int, ...], /) -> DeviceArray[Scalar_co]:
-        """Return the same memory under another shape of as many elements."""
-
 
 def host(handle: DeviceArray[Scalar]) -> npt.NDArray[Scalar]:
     """Return an array of the NumPy device as an ``ndarray``."""

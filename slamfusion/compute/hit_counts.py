@@ -29,7 +29,6 @@ from slamfusion.compute.layout import (
     FULL_HITS,
     FULL_VISITS,
     HITS_SHIFT,
-    MOST_BEAMS,
     OFFSET_HALF,
     OFFSET_ONE,
     OFFSET_SHIFT,
@@ -42,7 +41,6 @@ from slamfusion.compute.layout import (
     VISITS_MASK,
 )
 from slamfusion.compute.tiles import tile_places, walk_cells
-from slamfusion.errors import DeviceError
 
 # Beams that NumPy walks at once.
 BATCH = 4096
@@ -187,19 +185,6 @@ def _square(reach: int) -> list[tuple[int, int]]:
     return [(dx, dy) for dy in side for dx in side]
 
 
-def full_field(counts: U32, sums: U32, rule: FieldRule) -> U8:
-    """Return the (H, W) score field of a whole map from its (H, W) counts and sums."""
-    height, width = counts.shape
-    padded = [np.pad(values, rule.reach) for values in (counts, sums)]
-    best = np.zeros(counts.shape, dtype=np.int64)
-    for dx, dy in _square(rule.reach):
-        rows = slice(rule.reach + dy, rule.reach + dy + height)
-        cols = slice(rule.reach + dx, rule.reach + dx + width)
-        counts, sums = (part[rows, cols] for part in padded)
-        np.maximum(best, _field_of(counts, sums, (dx, dy), rule), out=best)
-    return best.astype(np.uint8)
-
-
 def _launch_beams(
     device: OpenCLDevice, name: str, pages: DeviceArray[np.int32], scan: BeamScan, *arguments: Any
 ) -> None:
@@ -247,12 +232,9 @@ class HitCountDevice(ArrayDevice):
             axes, of one that a beam walks through.
         """
         if self.opencl:
-            touched = np.zeros(pages.shape, dtype=np.uint8)
-            if touched.size and len(scan.ends):
-                out = self.opencl.cleared(pages.shape, np.uint8)
-                _launch_beams(self.opencl, "touch_pages", pages, scan, reach, out)
-                touched = self.download(out)
-            return touched
+            out = self.opencl.cleared(pages.shape, np.uint8)
+            _launch_beams(self.opencl, "touch_pages", pages, scan, reach, out)
+            return self.download(out)
         pages = host(pages)
         touched = np.zeros(pages.shape, dtype=np.uint8)
         maps, rows, cols = _walks(scan, pages.shape)
@@ -283,12 +265,11 @@ class HitCountDevice(ArrayDevice):
             sign: 1, or -1 to take beams back that were counted.
         """
         if self.opencl:
-            upload, count, width = self.opencl.upload, len(beams), pages.shape[2]
-            if count:
-                self.opencl.launch(
-                    "count_walks", (count,), upload(beams), count, upload(is_hit), width, pages,
-                    hits, visits, sign,
-                )  # fmt: skip
+            count, width = len(beams), pages.shape[2]
+            self.opencl.launch(
+                "count_walks", (count,), self.upload(beams), count, self.upload(is_hit), width,
+                pages, hits, visits, sign,
+            )  # fmt: skip
             return
         pages, pools = host(pages), (host(visits), host(hits))
         sum_at = np.add.at if sign > 0 else np.subtract.at
@@ -317,8 +298,7 @@ class HitCountDevice(ArrayDevice):
         All cells of a beam's walk, its end included, are visited once more; the end of a beam that
         met something is also hit once more. The field is the greatest value that ``rule`` gives the
         occupied cells within reach, on both axes, 0 where there are none. It is computed again
-        around the cells that the scan hits, and around those that are no longer occupied: if it was
-        ``full_field`` before, it is afterwards.
+        around the cells that the scan hits, and around those that are no longer occupied.
 
         Args:
             counts: (T, TILE, TILE) uint32, no cell visited ``FULL_VISITS`` or hit ``FULL_HITS``
@@ -332,30 +312,22 @@ class HitCountDevice(ArrayDevice):
 
         Returns:
             Whether a cell has now been visited ``FULL_VISITS`` or hit ``FULL_HITS`` times: halve
-            all hits, visits and sums, and take the field from ``full_field``.
-
-        Raises:
-            DeviceError: the scan has more beams.
+            all hits, visits and sums.
         """
-        if len(scan.ends) > MOST_BEAMS:  # which could overflow a cell's sums
-            message = f"a scan to be counted has up to {MOST_BEAMS} beams, found {len(scan.ends)}"
-            raise DeviceError(message)
         if self.opencl:
             marks = self.opencl.cleared((counts.shape[0], TILE), np.uint32)
             full = self.opencl.upload(np.zeros(1, dtype=np.int32))
-            if pages.size and len(scan.ends):
-                _launch_beams(
-                    self.opencl, "count_beams", pages, scan, self.opencl.upload(scan.is_hit), pages,
-                    counts, sums, full, marks, np.uint32(rule.occupied), np.uint32(rule.least_hits),
-                )  # fmt: skip
+            wall = np.uint32(rule.occupied), np.uint32(rule.least_hits)
+            _launch_beams(
+                self.opencl, "count_beams", pages, scan, self.upload(scan.is_hit), pages, counts,
+                sums, full, marks, *wall,
+            )  # fmt: skip
             near = np.flatnonzero(touched).astype(np.int32)
-            if len(near):
-                self.opencl.launch(
-                    "settle_field", (len(near),), self.opencl.upload(near), len(near), pages,
-                    pages.shape[2], pages.shape[1], counts, sums, field, marks,
-                    self.opencl.table(rule.table), rule.shift, rule.reach,
-                    np.uint32(rule.occupied), np.uint32(rule.least_hits),
-                )  # fmt: skip
+            self.opencl.launch(
+                "settle_field", (len(near),), self.upload(near), len(near), pages, pages.shape[2],
+                pages.shape[1], counts, sums, field, marks, self.opencl.table(rule.table),
+                rule.shift, rule.reach, *wall,
+            )  # fmt: skip
             return bool(self.download(full)[0])
         counts, sums, field, pages = host(counts), host(sums), host(field), host(pages)
         before = counts.copy()

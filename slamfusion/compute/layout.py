@@ -192,8 +192,7 @@ MOST_REACH: Final = 3
 # Offsets of hits in their cell: from 1/1024 cell to sixteenths.
 OFFSET_SHIFT: Final = 6
 # Distances count in 1/256 cell.
-CELL_SHIFT: Final = 8
-CELL_ONE: Final = 1 << CELL_SHIFT
+CELL_ONE: Final = 256
 CELL_HALF: Final = CELL_ONE // 2
 # A sixteenth of a cell, and its middle, in 1/256 cell.
 OFFSET_ONE: Final = 16
@@ -203,8 +202,6 @@ SHARE_ONE: Final = 1 << 16
 
 # -- chunk marks -----------------------------------------------------------------------------------
 
-# Chunks of a drive that a word has bits for.
-MOST_CHUNKS: Final = 32
 # Directions that a hit surface faces, and of how many a hit is looked for: all but those that face
 # away. The other face of a thin wall is no sign of this one.
 FACINGS: Final = 8

@@ -82,12 +82,6 @@ class OpenCLArray(Generic[Scalar]):
         """Elements."""
         return math.prod(self.shape)
 
-    def reshape(self, shape: tuple[int, ...], /) -> OpenCLArray[Scalar]:
-        """Return the same memory under another shape of as many elements."""
-        if math.prod(shape) != self.size:
-            raise ValueError(f"cannot view {self.shape} as {shape}")
-        return OpenCLArray(self.buffer, shape, self.dtype)
-
 
 class OpenCLDevice(ComputeDevice):
     """One OpenCL device with an in-order queue and all kernels, and the arrays on it.
@@ -140,6 +134,8 @@ class OpenCLDevice(ComputeDevice):
 
     def upload(self, array: npt.NDArray[Scalar]) -> OpenCLArray[Scalar]:
         """Bring an array to the device."""
+        if not array.size:
+            return self.empty(array.shape, array.dtype)
         dense = np.ascontiguousarray(array)
         flags = cl.mem_flags.READ_WRITE | cl.mem_flags.COPY_HOST_PTR
         return OpenCLArray(self._reserve(flags, dense.nbytes, dense), dense.shape, dense.dtype)
@@ -240,10 +236,12 @@ class OpenCLDevice(ComputeDevice):
     # -- launching -----------------------------------------------------------------------------
 
     def launch(self, name: str, size: tuple[int, ...], *arguments: Any) -> None:
-        """Start a kernel; its global size is rounded up to the fixed local size.
+        """Start a kernel; its global size is rounded up to the fixed local size, 0 starts none.
 
         Python's numbers become int32 and float32.
         """
+        if 0 in size:
+            return
         local = LOCAL_SIZES[len(size)]
         rounded = tuple(-(-s // part) * part for s, part in zip(size, local, strict=True))
         plain = [item.buffer if type(item) is OpenCLArray else item for item in arguments]
@@ -275,9 +273,10 @@ class OpenCLDevice(ComputeDevice):
         self, result: npt.NDArray[Scalar], name: str, size: tuple[int, ...], *arguments: Any
     ) -> npt.NDArray[Scalar]:
         """Start a kernel whose last argument is a host array to fill; return that array, filled."""
-        out = self.wrap_host(result, writable=True)
-        self.launch(name, size, *arguments, out)
-        self.map_host(out, result)
+        if result.size:
+            out = self.wrap_host(result, writable=True)
+            self.launch(name, size, *arguments, out)
+            self.map_host(out, result)
         return result
 
     def _reserve(self, flags: int, size: int, hostbuf: Any = None) -> Any:

@@ -53,8 +53,6 @@ class RayDevice(ArrayDevice):
         """
         if self.opencl:
             count = len(rays)
-            if not count:
-                return np.empty((0, RAY_HIT_FLOATS), dtype=np.float32)
             return self.opencl.launch_into(
                 np.empty((count, RAY_HIT_FLOATS), np.float32), "cast_rays", (count,), cells,
                 *cells.shape, self.upload(ray_table(rays)), count, reach_cells,

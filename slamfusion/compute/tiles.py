@@ -89,10 +89,7 @@ class TileDevice(ArrayDevice):
                 each other and are no sources.
         """
         if self.opencl:
-            count = len(pairs)
-            if not count:
-                return
-            table = self.upload(pairs)
+            table, count = self.upload(pairs), len(pairs)
             for pool in pools:
                 words = TILE_CELLS * pool.dtype.itemsize // COPIED_BYTES
                 self.opencl.launch("copy_tiles", (words, count), pool, words, table, count)
@@ -103,12 +100,9 @@ class TileDevice(ArrayDevice):
     def take_tiles(self, pool: DeviceArray[Scalar], numbers: I32) -> npt.NDArray[Scalar]:
         """Fetch tiles (K, TILE, TILE) of a pool by their numbers (K,) int32 to the host."""
         if self.opencl:
-            count = len(numbers)
-            tiles = np.empty((count, TILE, TILE), dtype=pool.dtype)
-            if count:
-                words = TILE_CELLS * pool.dtype.itemsize // TAKEN_BYTES
-                table = self.upload(numbers)
-                size = (words, count)
-                self.opencl.launch_into(tiles, "take_tiles", size, pool, words, table, count)
-            return tiles
+            count, words = len(numbers), TILE_CELLS * pool.dtype.itemsize // TAKEN_BYTES
+            return self.opencl.launch_into(
+                np.empty((count, TILE, TILE), dtype=pool.dtype), "take_tiles", (words, count), pool,
+                words, self.upload(numbers), count,
+            )  # fmt: skip
         return np.asarray(host(pool)[numbers])

@@ -32,7 +32,7 @@ from slamfusion.geometry import Pose2
 from slamfusion.grid import OCCUPIED, UNKNOWN, CellBox, OccupancyGrid, box_origin
 from slamfusion.io.files import check_memory
 from slamfusion.vote.agreement import AGREEING, Trust, WallCounts, second_opinion
-from slamfusion.vote.boxes import hull, moved, overlap, padded, slices
+from slamfusion.vote.boxes import cut, hull, moved, overlap, padded, slices
 from slamfusion.vote.lattice import Extent, Lattice
 from slamfusion.vote.tiles import (
     SMALL_TILE,
@@ -446,12 +446,8 @@ def warp_onto(
         # Without rotation all cells move by the same number of cells.
         first = np.ones(1, dtype=np.int64)
         (row,), (col,) = fixed_cells(pose[0], first, first)
-        out = np.full(shape, UNKNOWN, dtype=np.int8)
         read = CellBox(int(row), int(col), int(row) + box.height, int(col) + box.width)
-        known = overlap(read, CellBox(0, 0, *grid.shape))
-        if known is not None:
-            out[slices(known, read.row0, read.col0)] = grid.cells[slices(known, 0, 0)]
-        return out
+        return cut(grid.cells, CellBox(0, 0, *grid.shape), read, UNKNOWN)
     warped = device.warp(device.upload(grid.cells), pose, shape, UNKNOWN)
     return np.asarray(device.download(warped)[0])
 

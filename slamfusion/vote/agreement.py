@@ -30,11 +30,7 @@ from slamfusion.compute.layout import (
     WALL_OCCUPIED,
     WALL_SIDES,
 )
-from slamfusion.geometry import F64
-
-U8 = npt.NDArray[np.uint8]
-U16 = npt.NDArray[np.uint16]
-I64 = npt.NDArray[np.int64]
+from slamfusion.geometry import F64, I64, U8, U16
 
 # Maps of one place that are not bent agree in at least this share of their walls.
 AGREEING = 0.8

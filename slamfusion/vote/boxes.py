@@ -3,8 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TypeVar
+
+import numpy as np
+import numpy.typing as npt
 
 from slamfusion.grid import CellBox
+
+Scalar = TypeVar("Scalar", bound=np.generic)
 
 # Cells between two boxes that are sooner voted on again than left out.
 SPARE_CELLS = 1 << 16
@@ -59,6 +65,17 @@ def padded(box: CellBox, cells: int) -> CellBox:
 def slices(box: CellBox, row0: int, col0: int) -> tuple[slice, slice]:
     """Return the indices of a box in an array whose first cell is (row0, col0)."""
     return (slice(box.row0 - row0, box.row1 - row0), slice(box.col0 - col0, box.col1 - col0))
+
+
+def cut(
+    cells: npt.NDArray[Scalar], own: CellBox, box: CellBox, otherwise: int
+) -> npt.NDArray[Scalar]:
+    """Return a box (H, W) of the cells of an own box; ``otherwise`` where that does not reach."""
+    out = np.full((box.height, box.width), otherwise, dtype=cells.dtype)
+    common = overlap(own, box)
+    if common is not None:
+        out[slices(common, box.row0, box.col0)] = cells[slices(common, own.row0, own.col0)]
+    return out
 
 
 def grown_inside(box: CellBox, cells: int, whole: CellBox) -> CellBox:

@@ -11,16 +11,15 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
-from typing import Any, get_args
+from typing import get_args
 
 import numpy as np
-import numpy.typing as npt
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.compute.layout import MOST_INPUTS, VOTE_ONE
-from slamfusion.compute.votes import Votes
 from slamfusion.config import VoteConfig, VoteMode
 from slamfusion.errors import ConfigError, GridError
+from slamfusion.geometry import B8, I8, U8
 from slamfusion.grid import UNKNOWN, CellBox
 from slamfusion.vote.agreement import (
     Trust,
@@ -30,13 +29,8 @@ from slamfusion.vote.agreement import (
     local_weights,
     trust_of,
 )
-from slamfusion.vote.boxes import grown_inside, moved, overlap, slices
+from slamfusion.vote.boxes import cut, grown_inside, moved, overlap, slices
 from slamfusion.vote.walls import codes_on, margin_cells, same_wall_cells
-
-I8 = npt.NDArray[np.int8]
-U8 = npt.NDArray[np.uint8]
-Mask = npt.NDArray[np.bool_]
-Cell = npt.NDArray[Any]
 
 # Added to the cell of an input where it voted and was outvoted.
 OUTVOTED = np.int8(4)
@@ -61,7 +55,7 @@ class GridLayer:
     codes: I8
 
     @classmethod
-    def of(cls, aligned: I8, dissent: Mask) -> GridLayer:
+    def of(cls, aligned: I8, dissent: B8) -> GridLayer:
         """Take what an input shows on all cells, and where it was outvoted; both (H, W)."""
         height, width = aligned.shape
         box = CellBox(0, 0, height, width)
@@ -81,14 +75,9 @@ class GridLayer:
 
     def on(self, box: CellBox) -> I8:
         """Return its cells on a box of the lattice, unknown outside of its own."""
-        out = np.full((box.height, box.width), UNKNOWN, dtype=np.int8)
-        own = overlap(self.box, box)
-        if own is not None:
-            part = self.codes[slices(own, self.box.row0, self.box.col0)]
-            out[slices(own, box.row0, box.col0)] = _plain(part)
-        return out
+        return _plain(cut(self.codes, self.box, box, UNKNOWN))
 
-    def note(self, tile: CellBox, is_outvoted: Mask) -> None:
+    def note(self, tile: CellBox, is_outvoted: B8) -> None:
         """Note where the input was outvoted in a tile; (h, w) of the tile."""
         own = overlap(self.box, tile)
         if own is not None:
@@ -99,14 +88,14 @@ class GridLayer:
         """Return what it shows on all cells, (H, W) int8 in {-1, 0, 1}."""
         return self.on(CellBox(0, 0, *self.shape))
 
-    def dissent(self) -> Mask:
+    def dissent(self) -> B8:
         """Return where it was outvoted, (H, W) bool."""
         whole = np.zeros(self.shape, dtype=np.bool_)
         whole[slices(self.box, 0, 0)] = self.codes > 1
         return whole
 
 
-def occupied_codes(codes: I8) -> Mask:
+def occupied_codes(codes: I8) -> B8:
     """Return which codes of a layer are of occupied cells."""
     return np.asarray((codes == 1) | (codes == 1 + OUTVOTED))
 
@@ -141,7 +130,7 @@ class DecidedTile:
     dissent: U8 | None = None
     worst: Mapping[str, tuple[int, int, int]] = field(default_factory=dict)
 
-    def outvoted(self) -> Iterator[tuple[str, Mask]]:
+    def outvoted(self) -> Iterator[tuple[str, B8]]:
         """Yield each input with where it was outvoted, (h, w) bool."""
         if self.dissent is not None:
             for n, name in enumerate(self.names):
@@ -273,18 +262,19 @@ class TileVoter:
         """
         if not shown:
             return None
+        if len(shown) > MOST_INPUTS:
+            raise GridError(f"a vote takes up to {MOST_INPUTS} grids, found {len(shown)}")
         wide = self.around(tile)
         worst: dict[str, tuple[int, int, int]] = {}
         if not self.weighs or self.trust is None:
-            grids: list[I8] = [
+            grids = [
                 np.ascontiguousarray(own[slices(tile, wide.row0, wide.col0)]).view(np.int8)
                 for own in shown.values()
             ]
-            votes = vote_grids(grids, device, unknown_votes=self.unknown_votes)
+            votes = device.vote_majority(grids, unknown_votes=self.unknown_votes)
         else:
             trust = self.trust.part(list(shown))
             codes = [own.view(np.uint8) for own in shown.values()]
-            _check_count(codes)
             counts = counts or count_walls(codes, self.shift, self.phase(wide))
             weights, ranks = local_weights(counts, trust, self.resolution)
             # Walls up to here affect a cell of the tile.
@@ -347,25 +337,6 @@ def worst_place(places: Iterable[tuple[int, int, int]]) -> tuple[int, int, int]:
     return max(places, key=lambda place: (place[0], -place[1], -place[2]))
 
 
-def vote_grids(grids: list[I8], device: ComputeDevice, *, unknown_votes: bool) -> Votes:
-    """Give each cell the value of most grids; a tie for first place is occupied ([F16]).
-
-    Args:
-        grids: 1 to 32 of (H, W) int8 in {-1, 0, 1}.
-        unknown_votes: unknown is a value like the others; else it abstains.
-
-    Raises:
-        GridError: no grid, more than 32, or grids that do not share one shape.
-    """
-    _check_count(grids)
-    kinds = {(grid.shape, grid.dtype.name) for grid in grids}
-    shape, dtype = next(iter(kinds))
-    if len(kinds) > 1 or dtype != "int8" or len(shape) != 2 or 0 in shape:
-        found = ", ".join(f"{dtype} {shape}" for shape, dtype in sorted(kinds))
-        raise GridError(f"grids that vote must be (H, W) int8 of one shape, found {found}")
-    return device.vote_majority(grids, unknown_votes=unknown_votes)
-
-
 def check_votes(config: VoteConfig) -> None:
     """Refuse a mode in which maps do not vote.
 
@@ -390,8 +361,3 @@ def tiles_of(whole: CellBox, side: int) -> Iterator[CellBox]:
         for col0, col1 in pairwise(cols):
             if row1 > row0 and col1 > col0:
                 yield CellBox(row0, col0, row1, col1)
-
-
-def _check_count(grids: list[Any]) -> None:
-    if not 1 <= len(grids) <= MOST_INPUTS:
-        raise GridError(f"a vote takes 1 to {MOST_INPUTS} grids, found {len(grids)}")

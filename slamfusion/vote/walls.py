@@ -13,7 +13,6 @@ from collections.abc import Callable
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from slamfusion.compute.layout import (
     ALONG_COL,
@@ -24,11 +23,9 @@ from slamfusion.compute.layout import (
     WALL_OCCUPIED,
     WALL_SIDES,
 )
+from slamfusion.geometry import B8, I8, U8
 from slamfusion.grid import CellBox
 from slamfusion.vote.boxes import grown_inside, slices
-
-I8 = npt.NDArray[np.int8]
-U8 = npt.NDArray[np.uint8]
 
 # Distance in metres between the same wall in two good maps of one place.
 TOLERANCE_M = 0.08
@@ -150,9 +147,7 @@ def _fronts(known: U8) -> U8:
     ways = np.zeros_like(known)
     for number, (down, right) in enumerate(SIDES):
 
-        def ahead(
-            of: npt.NDArray[np.bool_], cells: int, down: int = down, right: int = right
-        ) -> npt.NDArray[np.bool_]:
+        def ahead(of: B8, cells: int, down: int = down, right: int = right) -> B8:
             row, col = FRONT_CELLS + cells * down, FRONT_CELLS + cells * right
             return of[row : row + height, col : col + width]
 
@@ -164,7 +159,7 @@ def _fronts(known: U8) -> U8:
     return ways
 
 
-def _is_shown(known: U8, ways: U8, reach: int) -> npt.NDArray[np.bool_]:
+def _is_shown(known: U8, ways: U8, reach: int) -> B8:
     """Return the cells about which a map shows something: known ones, and those at a wall's faces.
 
     It does so before and behind its wall, but not beyond the end of the wall, for example where the

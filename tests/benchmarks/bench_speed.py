@@ -32,7 +32,6 @@ from slamfusion.grid import CellBox, OccupancyGrid
 from slamfusion.sim import draw_building, named_course, simulate
 from slamfusion.slam.common.runner import run_producer
 from slamfusion.slam.registry import BUILT_IN, make_producer, producer
-from slamfusion.vote.tiles import vote_grids
 from tests.benchmarks.record import add_record_option, console_for
 from tests.support.degrade import Degradation, degrade_map
 
@@ -112,7 +111,7 @@ def time_vote(device: ComputeDevice, side: int, runs: int) -> tuple[str, ...]:
         for grid, target in zip(grids, targets, strict=True):
             np.copyto(target, grid)
 
-    voted = seconds(lambda: vote_grids(grids, device, unknown_votes=True), runs)
+    voted = seconds(lambda: device.vote_majority(grids, unknown_votes=True), runs)
     ratio = voted / seconds(copy, runs)
     return f"vote of three {side} x {side} grids", shown(voted), f"{ratio:.2f} times their copy"
 

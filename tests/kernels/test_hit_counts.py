@@ -8,15 +8,14 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from slamfusion.compute import ComputeDevice, NumpyDevice
-from slamfusion.compute.hit_counts import BeamScan, FieldRule, full_field
+from slamfusion.compute.hit_counts import BeamScan, FieldRule
 from slamfusion.compute.layout import MOST_BEAMS, MOST_REACH, TILE
-from slamfusion.errors import DeviceError
 from tests.support.examples import examples
+from tests.support.score_fields import score_field_of
 
 I32 = npt.NDArray[np.int32]
 Pools = list[Any]
@@ -142,12 +141,6 @@ def test_nothing_flows_over_where_all_beams_of_two_scans_end(device: ComputeDevi
     assert device.download(pools[2])[1, 20, 20] == 255 - 2 * 120 * 120 // 256
 
 
-def test_too_many_beams_are_refused(device: ComputeDevice):
-    scan = scan_of(*[(3.0, 0.0)] * (MOST_BEAMS + 1), poses=[(4.5, 4.5, 0.0)])
-    with pytest.raises(DeviceError, match="up to 2047 beams, found 2048"):
-        count_into(device, own_pages(1, 1, 1), scan)
-
-
 @given(seed=SEEDS, reach=st.integers(0, 16))
 @settings(max_examples=examples(25), deadline=None)
 def test_touched_pages_are_those_of_the_counted_cells_and_their_surroundings(
@@ -219,4 +212,4 @@ def test_field_is_that_of_the_counts_everywhere(
     assert pools[2].any()
     for pages in tiles.pages:
         counts, sums, field = (joined(pool, pages) for pool in pools)
-        np.testing.assert_array_equal(field, full_field(counts, sums, rule))
+        np.testing.assert_array_equal(field, score_field_of(counts, sums, rule))

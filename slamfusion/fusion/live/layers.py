@@ -17,7 +17,7 @@ from slamfusion.compute.layout import FIXED_ONE
 from slamfusion.config import NormalizeConfig
 from slamfusion.geometry import Pose2
 from slamfusion.grid import UNKNOWN, CellBox, OccupancyGrid, known_box
-from slamfusion.vote.boxes import hull, moved, overlap, padded, slices
+from slamfusion.vote.boxes import cut, hull, moved, overlap, padded, slices
 from slamfusion.vote.lattice import SAME_RESOLUTION, Lattice
 
 I8 = npt.NDArray[np.int8]
@@ -66,13 +66,9 @@ class Layer:
 
     def window(self, box: CellBox) -> I8:
         """Return the cells of a box of the lattice; unknown outside of the layer."""
-        common = overlap(box, self.box)
-        if common == box:
+        if overlap(box, self.box) == box:
             return self.cells[slices(box, self.row, self.col)]
-        out = np.full((box.height, box.width), UNKNOWN, dtype=np.int8)
-        if common is not None:
-            out[slices(common, box.row0, box.col0)] = self.cells[slices(common, self.row, self.col)]
-        return out
+        return cut(self.cells, self.box, box, UNKNOWN)
 
 
 def lay_out(

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
-from typing import Any
 
 import cv2
 import numpy as np
@@ -27,7 +26,7 @@ from slamfusion.geometry import Pose2
 from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, CellBox, OccupancyGrid, trinary_cells
 from slamfusion.io.files import check_memory
 from slamfusion.vote.agreement import Trust, WallCounts, count_walls, trust_of
-from slamfusion.vote.boxes import grown_inside, hull, joined, moved, overlap, padded, slices
+from slamfusion.vote.boxes import cut, grown_inside, hull, joined, moved, overlap, padded, slices
 from slamfusion.vote.lattice import Lattice
 from slamfusion.vote.tiles import TileVoter
 from slamfusion.vote.walls import codes_on, margin_cells
@@ -209,20 +208,12 @@ class FusedLayers:
 
     def _resize(self, box: CellBox) -> None:
         """Change the box; new cells are unknown."""
-        before, self.box = self.box, box
-        common = None if before is None else overlap(before, box)
-
-        def resized(cells: npt.NDArray[Any], outside: int) -> npt.NDArray[Any]:
-            out = np.full((box.height, box.width), outside, dtype=cells.dtype)
-            if before is not None and common is not None:
-                kept = cells[slices(common, before.row0, before.col0)]
-                out[slices(common, box.row0, box.col0)] = kept
-            return out
-
-        self._fused = resized(self._fused, UNKNOWN)
-        self._agreement = resized(self._agreement, UNKNOWN)
+        before, self.box = self.box or CellBox(0, 0, 0, 0), box
+        self._fused = cut(self._fused, before, box, UNKNOWN)
+        self._agreement = cut(self._agreement, before, box, UNKNOWN)
         for laid in self._laid.values():
-            laid.cells, laid.walls = resized(laid.cells, UNKNOWN), resized(laid.walls, 0)
+            laid.cells = cut(laid.cells, before, box, UNKNOWN)
+            laid.walls = cut(laid.walls, before, box, 0)
             laid.covered = None if laid.covered is None else overlap(laid.covered, box)
 
     def restore(self, state: LiveState) -> None:

@@ -92,8 +92,8 @@ def _warp(device: ComputeDevice, sample: Sample) -> Arrays:
 
 
 def _confusion(device: ComputeDevice, sample: Sample) -> Arrays:
-    a, b = (device.upload(grid) for grid in sample.grids(2))
-    b = b.reshape(b.shape[::-1])
+    whole, other = sample.grids(2)
+    a, b = device.upload(whole), device.upload(other.reshape(other.shape[::-1]))
     poses = fixed_poses([(0.0, 0.0, 0.0), *sample.motions])
     return [device.confusion(a, b, pose) for pose in poses]
 

@@ -12,7 +12,7 @@ import numpy.typing as npt
 import pytest
 
 from slamfusion.compute import ComputeDevice, NumpyDevice
-from slamfusion.compute.hit_counts import full_field, percent_of_counts
+from slamfusion.compute.hit_counts import percent_of_counts
 from slamfusion.compute.layout import FULL_VISITS
 from slamfusion.config import GmappingConfig
 from slamfusion.errors import SlamFusionError
@@ -26,6 +26,7 @@ from slamfusion.slam.gmapping.particles import ParticleMaps, beams_of
 from slamfusion.slam.gmapping.slam import Gmapping
 from tests.slam.drives import drive, scan_at, true_poses
 from tests.slam.places import errors, everything, feed
+from tests.support.score_fields import score_field_of
 
 pytestmark = pytest.mark.once
 
@@ -384,7 +385,7 @@ def test_counts_that_overflow_again_and_again_keep_the_map(device: ComputeDevice
     assert (wanted == 0).any()
     # The score field is what the counts say.
     counts, sums, field = (maps.tiles.cells(name, 0)[0] for name in ("counts", "sums", "field"))
-    np.testing.assert_array_equal(full_field(counts, sums, maps.field_rule), field)
+    np.testing.assert_array_equal(score_field_of(counts, sums, maps.field_rule), field)
 
 
 # -- going on from a file --------------------------------------------------------------------------
