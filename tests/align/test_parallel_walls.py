@@ -75,5 +75,3 @@ def test_where_walls_fill_the_coarse_cells_parallel_walls_lead_to_the_answer(
     assert found.reason.endswith("on finer ones only yaws with parallel walls were")
     error = transform(site, a, b).inverse().compose(found.transform)
     assert math.hypot(error.x, error.y) < 0.3
-    monkeypatch.setattr("slamfusion.align.search.PARALLEL", 0)
-    assert not align_pair(Pair(features[a], features[b]), config).accepted

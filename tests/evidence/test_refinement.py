@@ -59,9 +59,6 @@ def test_a_path_that_the_scans_speak_against_is_not_taken(
     before = with_path(evidence, "fused", given, device).scores["fused"]
     assert with_given.scores["fused"].consistency == before.consistency
     assert tuple(with_given.scores) == ("other", "fused")
-    # What comes by chance more often than once in a hundred times speaks against neither.
-    monkeypatch.setattr(refined_path, "SURE", found.comparison.p_value)
-    assert refine_borne_out(evidence, given, device)[2].taken
     assert plain(found) == {
         "taken": False,
         "start": "paths",

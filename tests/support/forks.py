@@ -13,7 +13,6 @@ from __future__ import annotations
 import atexit
 import contextlib
 import ctypes
-import fcntl
 import gc
 import importlib
 import inspect
@@ -28,8 +27,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from multiprocessing import util
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -42,8 +40,6 @@ MEASURED = ("COV_CORE_", "COVERAGE_")
 # One request or answer; an environment is the most of it.
 MOST_BYTES = 1 << 17
 STREAMS = 3
-# Words of the commands that start processes of their own; the others are not made to wait for it.
-SPAWNING = {"run", "experiment"}
 # What the package has loaded where it is used, without what is below it: a fork has it loaded.
 LOADED_LATE = [
     "matplotlib.backends.backend_agg",
@@ -58,10 +54,6 @@ LOADED_LATE = [
     "scipy.sparse.linalg",
     "scipy.spatial.transform",
 ]
-# Files that one request passes on: its streams, pipes and what a spawned process is given.
-MOST_FILES = 64
-# Of prctl, see its manual: orphans below this process become its children.
-PR_SET_CHILD_SUBREAPER = 36
 
 
 class Forked:
@@ -255,100 +247,13 @@ def _become(script: str, request: dict[str, Any], files: list[int]) -> None:
         os.environ.pop(name, None)
     os.environ.update(request["env"])
     sys.argv = [script, *request["arguments"]]
-    if not SPAWNING.isdisjoint(sys.argv):
-        _fork_what_is_spawned()
-    _run_to_the_end(lambda: runpy.run_path(script, run_name="__main__"))
-
-
-def _run_to_the_end(work: Callable[[], object]) -> None:
-    """Do what a process is for, and end it with its exit code."""
     try:
-        work()
+        runpy.run_path(script, run_name="__main__")
     except SystemExit as ended:
         if ended.code is not None and not isinstance(ended.code, int):
             raise
         _end(ended.code or 0)
     _end(0)
-
-
-def _fork_what_is_spawned() -> None:
-    """Let processes that ``multiprocessing`` spawns be forked, too, from one that is as young.
-
-    A child of this process stays as it is now, without device and threads. Asked for a process, it
-    forks one that forks the one wanted and ends, which makes that a child of this process: Linux
-    gives orphans to the nearest ancestor that takes them.
-    """
-    if ctypes.CDLL(None).prctl(PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0) != 0:
-        return
-    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    if os.fork() == 0:
-        ours.close()
-        _bear(theirs)
-    theirs.close()
-    spawn = util.spawnv_passfds
-
-    def fork(path: bytes, arguments: Sequence[Any], files: Sequence[int]) -> int:
-        code = arguments[arguments.index("-c") + 1] if "-c" in arguments else ""
-        if not code.startswith("from multiprocessing."):
-            return spawn(path, arguments, files)
-        passed = [0, 1, 2, *sorted(files)]
-        request = {
-            "code": code,
-            "arguments": arguments[arguments.index("-c") + 2 :],
-            "env": dict(os.environ),
-            "cwd": str(Path.cwd()),
-            "blocked": [int(number) for number in signal.pthread_sigmask(signal.SIG_BLOCK, [])],
-            "files": passed,
-        }
-        socket.send_fds(ours, [json.dumps(request).encode()], passed)
-        return int(ours.recv(MOST_BYTES))
-
-    util.spawnv_passfds = fork  # type: ignore[assignment]
-
-
-def _bear(channel: socket.socket) -> None:
-    """Fork for each request until the channel closes; never returns."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    nothing = os.open(os.devnull, os.O_RDWR)
-    for number in range(STREAMS):
-        os.dup2(nothing, number)
-    while True:
-        data, files, _, _ = socket.recv_fds(channel, MOST_BYTES, MOST_FILES)
-        if not data:
-            os._exit(0)
-        told, tell = os.pipe()
-        between = os.fork()
-        if between == 0:
-            born = os.fork()
-            if born != 0:
-                os.write(tell, str(born).encode())
-                os._exit(0)
-            for number in (channel.detach(), told, tell):
-                os.close(number)
-            _become_spawned(json.loads(data), files)
-        os.waitpid(between, 0)
-        channel.send(os.read(told, MOST_BYTES))
-        for number in (*files, told, tell):
-            os.close(number)
-
-
-def _become_spawned(request: dict[str, Any], files: list[int]) -> None:
-    """Do in this process what ``multiprocessing`` tells a new Python to do."""
-    wanted = request["files"]
-    above = [fcntl.fcntl(file, fcntl.F_DUPFD, max(wanted) + 1) for file in files]
-    for number, file in zip(wanted, above, strict=True):
-        os.dup2(file, number)
-    for number in range(max(above) + 1):
-        if number not in wanted:
-            with contextlib.suppress(OSError):
-                os.close(number)
-    os.chdir(request["cwd"])
-    os.environ.clear()
-    os.environ.update(request["env"])
-    signal.signal(signal.SIGINT, signal.default_int_handler)
-    signal.pthread_sigmask(signal.SIG_SETMASK, request["blocked"])
-    sys.argv = ["-c", *request["arguments"]]
-    _run_to_the_end(lambda: exec(request["code"], {"__name__": "__main__"}))  # noqa: S102
 
 
 def _end(code: int) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import signal
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -68,49 +67,3 @@ def test_what_is_read_while_a_library_loads_is_no_fork(monkeypatch: pytest.Monke
     assert not server().can_start({**os.environ, "OMP_NUM_THREADS": "17"})
     monkeypatch.setenv("PYTHONPATH", "elsewhere")
     assert not server().can_start(os.environ)
-
-
-SPAWNS = """
-import multiprocessing, os, pathlib, sys, time, wave
-from tests.support import forks
-
-if "forked" in sys.argv:
-    forks._fork_what_is_spawned()
-context = multiprocessing.get_context("spawn")
-heard, tell = context.Pipe(duplex=False)
-TELL = '''
-import os, sys
-files = len(os.listdir("/proc/self/fd"))
-pipe.send((os.getppid() == parent, os.environ["TOLD"], os.getcwd(), files, "wave" in sys.modules))
-sys.exit(7)
-'''
-os.environ["TOLD"] = "late"
-os.chdir(sys.argv[1])
-scope = {"pipe": tell, "parent": os.getpid()}
-first = context.Process(target=exec, args=(TELL, scope))
-second = context.Process(target=time.sleep, args=(60.0,), daemon=True)
-for process in (first, second):
-    process.start()
-tell.close()
-said = heard.recv()
-first.join(20.0)
-assert heard.poll(20.0) and second.is_alive()  # its end of the pipe is closed
-second.kill()
-second.join(20.0)
-print(*said, first.exitcode, second.exitcode)
-"""
-
-
-def test_what_a_fork_spawns_is_a_child_like_one_that_is_started(tmp_path: Path) -> None:
-    def told(how: str) -> list[str]:
-        words = [sys.executable, "-c", SPAWNS, str(tmp_path), how]
-        done = subprocess.run(words, capture_output=True, text=True, check=False, timeout=60.0)
-        assert done.returncode == 0, done.stderr
-        return done.stdout.split()
-
-    *forked, has_loaded, first, second = told("forked")
-    *started, has_loaded_anew, first_anew, second_anew = told("started")
-    assert forked == started
-    assert forked[:3] == ["True", "late", str(tmp_path)]
-    assert (has_loaded, has_loaded_anew) == ("True", "False")
-    assert (first, second) == (first_anew, second_anew) == ("7", str(-signal.SIGKILL))
