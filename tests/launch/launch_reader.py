@@ -11,11 +11,12 @@ import os
 import runpy
 import sys
 import types
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import yaml
 
@@ -75,201 +76,117 @@ class Context:
         return value.perform(self) if hasattr(value, "perform") else value
 
 
-class _LaunchConfiguration:
-    def __init__(self, name: str) -> None:
-        self.name = name
+class Made:
+    """An object that a launch file makes, with the arguments that it was made of."""
 
-    def perform(self, context: Context) -> str:
-        return context.configurations[self.name]
-
-
-class _PathJoin:
-    def __init__(self, parts: Iterable[Any]) -> None:
-        self.parts = list(parts)
-
-    def perform(self, context: Context) -> str:
-        return str(Path(*[context.text(part) for part in self.parts]))
-
-
-class _Share:
-    """The folder that colcon makes: config and launch files lie beside each other in ours."""
-
-    def __init__(self, package: str) -> None:
-        assert package == "slamfusion"
-
-    def perform(self, _: Context) -> str:
-        return str(SCRIPTS / "ament")
-
-
-class _Environment:
-    def __init__(self, name: str, default_value: str) -> None:
-        self.name, self.default = name, default_value
-
-    def perform(self, _: Context) -> str:
-        return os.environ.get(self.name, self.default)
-
-
-class _NotEquals:
-    def __init__(self, one: Any, other: Any) -> None:
-        self.pair = one, other
-
-    def perform(self, context: Context) -> str:
-        one, other = (context.text(item) for item in self.pair)
-        return str(one != other).lower()
-
-
-class _IfCondition:
-    def __init__(self, value: Any) -> None:
-        self.value = value
-
-    def holds(self, context: Context) -> bool:
-        said = context.text(self.value).lower()
-        assert said in {"true", "false", "1", "0"}, said
-        return said in {"true", "1"}
-
-
-class _ParameterValue:
-    def __init__(self, value: Any, value_type: type[Any]) -> None:
-        self.text, self.kind = value, value_type
+    def __init__(self, kind: str, *args: Any, **given: Any) -> None:
+        self.kind, self.args, self.given = kind, args, given
 
     def perform(self, context: Context) -> Any:
-        said = context.text(self.text)
-        return (
-            {"true": True, "false": False}[said.lower()] if self.kind is bool else self.kind(said)
-        )
-
-
-class _Argument:
-    def __init__(self, name: str, default_value: Any = None, description: str = "") -> None:
-        assert description, name
-        self.name, self.default = name, default_value
+        """Return the value of a substitution, condition or parameter."""
+        return VALUES[self.kind](context, *self.args, **self.given)
 
     def visit(self, context: Context) -> None:
-        if self.name not in context.configurations:
-            assert self.default is not None, f"the argument {self.name} must be given"
-            context.configurations[self.name] = context.text(self.default)
+        """Do what an action does, if its condition holds."""
+        condition = self.given.pop("condition", None)
+        if condition is None or condition.perform(context):
+            ACTIONS[self.kind](context, *self.args, **self.given)
 
 
-class _Set:
-    def __init__(self, name: str, value: Any) -> None:
-        self.name, self.value = name, value
-
-    def visit(self, context: Context) -> None:
-        assert context.text(self.value), self.name
+def _truth(context: Context, value: Any) -> bool:
+    return {"true": True, "1": True, "false": False, "0": False}[context.text(value).lower()]
 
 
-class _Include:
-    def __init__(
-        self,
-        source: Any,
-        launch_arguments: Iterable[tuple[str, Any]],
-        condition: _IfCondition | None = None,
-    ) -> None:
-        self.source, self.arguments, self.condition = source, list(launch_arguments), condition
-
-    def visit(self, context: Context) -> None:
-        if self.condition is not None and not self.condition.holds(context):
-            return
-        given = {name: context.text(value) for name, value in self.arguments}
-        path = Path(context.text(self.source))
-        inner = _visited(path, context.configurations | given)
-        unknown = given.keys() - declared(path)
-        assert not unknown, f"{path.name} has no argument {unknown}"
-        context.started += inner.started
+def _typed(context: Context, value: Any, value_type: Callable[[str], Any]) -> Any:
+    return _truth(context, value) if value_type is bool else value_type(context.text(value))
 
 
-class _Opaque:
-    def __init__(self, function: Any) -> None:
-        self.function = function
-
-    def visit(self, context: Context) -> None:
-        for item in self.function(context):
-            item.visit(context)
-
-
-class _Node:
-    def __init__(
-        self,
-        *,
-        package: str,
-        executable: str,
-        name: str = "",
-        namespace: Any = "",
-        parameters: Iterable[Any] = (),
-        remappings: Iterable[tuple[str, Any]] = (),
-        condition: _IfCondition | None = None,
-        **others: Any,
-    ) -> None:
-        assert others.keys() <= {"output", "respawn", "respawn_delay", "arguments"}
-        self.names = package, executable, name
-        self.namespace, self.condition = namespace, condition
-        self.parameters, self.remappings = list(parameters), list(remappings)
-
-    def visit(self, context: Context) -> None:
-        if self.condition is not None and not self.condition.holds(context):
-            return
-        parameters = [
-            {key: context.value(value) for key, value in item.items()}
-            if isinstance(item, dict)
-            else context.text(item)
-            for item in self.parameters
-        ]
-        remappings = {old: context.text(new) for old, new in self.remappings}
-        context.started.append(
-            Started(*self.names, context.text(self.namespace), parameters, remappings)
-        )
-
-
-MODULES: dict[str, dict[str, Any]] = {
-    "launch": {"LaunchContext": Context, "LaunchDescription": list},
-    "launch.actions": {
-        "DeclareLaunchArgument": _Argument,
-        "IncludeLaunchDescription": _Include,
-        "OpaqueFunction": _Opaque,
-        "SetEnvironmentVariable": _Set,
-    },
-    "launch.conditions": {"IfCondition": _IfCondition},
-    "launch.launch_description_sources": {"PythonLaunchDescriptionSource": lambda path: path},
-    "launch.substitutions": {
-        "EnvironmentVariable": _Environment,
-        "LaunchConfiguration": _LaunchConfiguration,
-        "NotEqualsSubstitution": _NotEquals,
-        "PathJoinSubstitution": _PathJoin,
-    },
-    "launch_ros": {},
-    "launch_ros.actions": {"Node": _Node},
-    "launch_ros.parameter_descriptions": {"ParameterValue": _ParameterValue},
-    "launch_ros.substitutions": {"FindPackageShare": _Share},
+# Config and launch files lie beside each other in the folder that colcon makes of ours.
+VALUES: dict[str, Callable[..., Any]] = {
+    "EnvironmentVariable": lambda _, name, default_value: os.environ.get(name, default_value),
+    "FindPackageShare": lambda _, package: {"slamfusion": SCRIPTS / "ament"}[package],
+    "IfCondition": _truth,
+    "LaunchConfiguration": lambda context, name: context.configurations[name],
+    "NotEqualsSubstitution": lambda context, *both: len({context.text(one) for one in both}) == 2,
+    "ParameterValue": _typed,
+    "PathJoinSubstitution": lambda context, parts: str(Path(*map(context.text, parts))),
 }
 
 
-@contextmanager
-def _importable() -> Iterator[None]:
-    """Let the launch files import what they name."""
-    before = {name: sys.modules.get(name) for name in MODULES}
-    for name, content in MODULES.items():
-        module = types.ModuleType(name)
-        module.__dict__.update(content)
-        sys.modules[name] = module
-    try:
-        yield
-    finally:
-        for name, module in before.items():
-            sys.modules.pop(name)
-            if module is not None:
-                sys.modules[name] = module
+def _declare(context: Context, name: str, *, description: str, default_value: Any = None) -> None:
+    assert description, name
+    if name not in context.configurations:
+        assert default_value is not None, f"the argument {name} must be given"
+        context.configurations[name] = context.text(default_value)
 
 
-def _entities(path: Path) -> list[Any]:
-    with _importable():
-        entities = runpy.run_path(str(path))["generate_launch_description"]()
-    assert isinstance(entities, list)
+def _set(context: Context, name: str, value: Any) -> None:
+    assert context.text(value), name
+
+
+def _include(context: Context, path: Any, launch_arguments: Iterable[tuple[str, Any]]) -> None:
+    given = {name: context.text(value) for name, value in launch_arguments}
+    path = Path(context.text(path))
+    assert given.keys() <= declared(path), path.name
+    context.started += _visited(path, context.configurations | given).started
+
+
+def _call(context: Context, function: Callable[[Context], Iterable[Made]]) -> None:
+    for item in function(context):
+        item.visit(context)
+
+
+def _start(context: Context, package: str, executable: str, **given: Any) -> None:
+    known = {"name", "namespace", "parameters", "remappings"}
+    assert given.keys() - known <= {"output", "respawn", "respawn_delay", "arguments"}
+    parameters = [
+        {key: context.value(value) for key, value in item.items()}
+        if isinstance(item, dict)
+        else context.text(item)
+        for item in given["parameters"]
+    ]
+    remappings = {old: context.text(new) for old, new in given["remappings"]}
+    name, namespace = given.get("name", ""), context.text(given["namespace"])
+    context.started.append(Started(package, executable, name, namespace, parameters, remappings))
+
+
+ACTIONS: dict[str, Callable[..., None]] = {
+    "DeclareLaunchArgument": _declare,
+    "IncludeLaunchDescription": _include,
+    "Node": _start,
+    "OpaqueFunction": _call,
+    "SetEnvironmentVariable": _set,
+}
+MODULES: dict[str, dict[str, Any]] = {
+    "launch": {"LaunchContext": Context, "LaunchDescription": list},
+    "launch.launch_description_sources": {"PythonLaunchDescriptionSource": lambda path: path},
+}
+for module, kinds in {
+    "launch.actions": "DeclareLaunchArgument IncludeLaunchDescription OpaqueFunction "
+    "SetEnvironmentVariable",
+    "launch.conditions": "IfCondition",
+    "launch.substitutions": "EnvironmentVariable LaunchConfiguration NotEqualsSubstitution "
+    "PathJoinSubstitution",
+    "launch_ros": "",
+    "launch_ros.actions": "Node",
+    "launch_ros.parameter_descriptions": "ParameterValue",
+    "launch_ros.substitutions": "FindPackageShare",
+}.items():
+    MODULES[module] = {kind: partial(Made, kind) for kind in kinds.split()}
+
+
+def _entities(path: Path) -> list[Made]:
+    modules = {name: types.ModuleType(name) for name in MODULES}
+    for name, module in modules.items():
+        vars(module).update(MODULES[name])
+    with mock.patch.dict(sys.modules, modules):
+        entities: list[Made] = runpy.run_path(str(path))["generate_launch_description"]()
     return entities
 
 
 def declared(path: Path) -> set[str]:
     """Return the names of a file's arguments."""
-    return {item.name for item in _entities(path) if isinstance(item, _Argument)}
+    return {item.args[0] for item in _entities(path) if item.kind == "DeclareLaunchArgument"}
 
 
 def _visited(path: Path, configurations: Mapping[str, str]) -> Context:
