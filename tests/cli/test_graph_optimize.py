@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.cli.command import assert_one_line_failure, json_of, run
+from tests.cli.command import json_of, run
 
 pytestmark = pytest.mark.once
 
@@ -34,9 +34,3 @@ def test_a_square_is_straightened_and_written(tmp_path: Path):
     wanted = [(0, 0), (1, 0), (1, 1), (0, 1)]
     np.testing.assert_allclose(np.array(corners, dtype=float), wanted, atol=1e-6)
     assert len(tum.read_text().splitlines()) >= 4
-
-
-def test_a_graph_that_is_none_is_refused_in_one_line(tmp_path: Path):
-    graph = tmp_path / "bad.g2o"
-    graph.write_text("VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0\n")
-    assert_one_line_failure(run("graph", "optimize", graph), "bad.g2o")

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from slamfusion.io import load_map, read_trajectory, save_map, write_carmen, write_tum
+from slamfusion.io import read_trajectory, write_carmen
 from slamfusion.io.log import LogScan
 from slamfusion.scan import LaserScan
 from tests.cli.command import assert_one_line_failure, json_of, run, tree
@@ -34,34 +33,6 @@ def unseeing(item: LogScan) -> LogScan:
     return LogScan(blind, item.odometry, item.line)
 
 
-@pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict]:
-    """A run with everything asked for: its folder and its JSON document."""
-    folder = tmp_path_factory.mktemp("slam")
-    scans = room_drive(12)
-    log = write_log(folder / "room.log.gz", scans)
-    write_tum(folder / "truth.tum", read_trajectory(log))
-    first, last = (item.odometry for item in (scans[0], scans[-1]))
-    assert first is not None
-    assert last is not None
-    motion = first.inverse().compose(last)
-    line = f"0.0 1.1 {motion.x} {motion.y} 0 0 0 {motion.yaw_rad}\n"
-    (folder / "room.relations").write_text(line, encoding="utf-8")
-    arguments = ("slam", "tinyslam", log, "--seed", "3", "--json")
-    plain = json_of(run(*arguments, "-o", folder / "plain" / "room"))
-    save_map(load_map(folder / "plain" / "room.yaml"), folder / "truth_map")
-    done = run(
-        *arguments, "-o", folder / "out" / "room",
-        "--relations", folder / "room.relations", "--odometry", log,
-        "--truth", folder / "truth.tum", "--truth-map", folder / "truth_map.yaml",
-        "--report", folder / "report", "--cell-model", "base",
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    assert done.stderr == ""
-    assert plain["producers"][0]["scans"] == 12
-    return folder, json_of(done)
-
-
 def test_a_truth_of_another_time_loses_no_map(tmp_path: Path) -> None:
     log = write_log(tmp_path / "room.log", room_drive(4))
     (tmp_path / "late.tum").write_text("9e9 0 0 0 0 0 0 1\n9.1e9 1 0 0 0 0 0 1\n", encoding="utf-8")
@@ -69,48 +40,6 @@ def test_a_truth_of_another_time_loses_no_map(tmp_path: Path) -> None:
     assert_one_line_failure(done, "the map and the path were written all the same")
     for suffix in SUFFIXES:
         assert (tmp_path / f"m{suffix}").stat().st_size > 0
-
-
-def test_map_path_and_record_are_written_and_nothing_else(made: tuple[Path, dict]) -> None:
-    folder, document = made
-    assert sorted(tree(folder / "out")) == [f"room{suffix}" for suffix in SUFFIXES]
-    grid = load_map(folder / "out" / "room.yaml")
-    assert grid.width * grid.resolution == pytest.approx(6.0, abs=0.4)
-    path = read_trajectory(folder / "out" / "room.tum")
-    assert len(path) == 12
-    assert path.stamps_s[-1] == pytest.approx(1.1)
-    saved = json.loads((folder / "out" / "room.json").read_text(encoding="utf-8"))
-    assert saved == document
-
-
-def test_errors_are_measured(made: tuple[Path, dict]) -> None:
-    _, document = made
-    (record,) = document["producers"]
-    assert record["relations_used"] == 1
-    assert record["translation"]["mean"] < 0.1
-    assert record["odometry"]["rows"] == 12
-    assert record["poses_matched"] == 12
-    assert record["ate"]["rmse"] < 0.1
-    assert record["map_error"]["error"] >= 0.0
-
-
-def test_the_graph_s_path_as_first_reported_is_measured_too(
-    made: tuple[Path, dict], tmp_path: Path
-) -> None:
-    folder, document = made
-    assert "as_first_reported" not in document["producers"][0]
-    asked = ("--relations", folder / "room.relations", "--truth", folder / "truth.tum")
-    arguments = ("slam", "graph", folder / "room.log.gz", *asked, "-o", tmp_path / "room")
-    (record,) = json_of(run(*arguments, "--json"))["producers"]
-    online = record["as_first_reported"]
-    for figures in (record, online):
-        assert figures["relations_used"] == 1
-        assert figures["at_scans"]["relations_used"] == 1
-        assert figures["poses_matched"] == 12
-    assert online["ate"]["rmse"] < 0.1
-    text = run(*arguments).stdout
-    for name in ("relations, translation [m], as first reported", "ATE, translation [m], as first"):
-        assert name in text
 
 
 def test_odometry_of_scans_replaces_the_poses_of_the_log(tmp_path: Path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 
 import pytest
@@ -85,19 +84,6 @@ def test_only_align_takes_a_start_without_a_name(tmp_path: Path, command: str) -
     assert_refused(tmp_path, words, *COMMANDS["align"], *both)
 
 
-def test_fuse_searches_maps_around_their_starts(tmp_path: Path) -> None:
-    """All three in the frame of the truth; with one of them wrong the other two are left."""
-    starts = [word for name, pose in POSES.items() for word in start(name, pose, 0.5, 0.1)]
-    done = run_here("fuse", *MAPS, "-o", tmp_path / "right", *starts, "--json")
-    document = json_of(done)
-    assert document["fused_count"] == 3
-    assert document["config"]["start"]["map_a"] == [*vars(POSES["map_a"]).values(), 0.5, 0.1]
-    wrong = start("map_c", POSES["map_c"].compose(Pose2(0.0, 0.0, math.pi)), 0.5, 0.1)
-    done = run_here("fuse", *MAPS, "-o", tmp_path / "wrong", *starts[:4], *wrong, "--json")
-    became = {item["name"]: item["accepted"] for item in json_of(done)["inputs"]}
-    assert became == {"map_a": True, "map_b": True, "map_c": False}
-
-
 def test_starts_of_the_file_hold_unless_the_option_says_otherwise(tmp_path: Path) -> None:
     right, wrong = POSES["map_b"], Pose2(8.0, 8.0, 1.0)
     path = tmp_path / "starts.yaml"
@@ -118,14 +104,3 @@ def test_starts_of_the_file_hold_unless_the_option_says_otherwise(tmp_path: Path
 def test_a_yaw_may_be_in_degrees() -> None:
     found = json_of(run_here("align", TRUTH, MAPS[1], "--start", "-0.2,-0.2,-126.05deg", "--json"))
     assert found["config"]["start"]["map_b"] == pytest.approx([-0.2, -0.2, -2.2], abs=1e-4)
-
-
-def test_align_takes_the_start_of_the_moving_map_without_its_name() -> None:
-    start = ("--start", "-0.2,-0.2,-2.2")
-    found = json_of(run_here("align", TRUTH, MAPS[1], *start, "--json"))
-    assert found["accepted"] is True
-    assert found["dx_m"] == pytest.approx(POSES["map_b"].x, abs=0.1)
-    assert found["yaw_rad"] == pytest.approx(POSES["map_b"].yaw_rad, abs=0.01)
-    # The windows count from it, as they did.
-    near = ("--window-m", "0.3", "--window-yaw-rad", "0.1")
-    assert run_here("align", TRUTH, MAPS[1], "--start", "-0.2,-0.2,-2.4", *near).returncode == 1
