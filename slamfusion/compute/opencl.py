@@ -65,6 +65,8 @@ def _family_source(folder: Path, family: str) -> str:
 # PoCL compiles a kernel for every new work-group size, and chooses slow sizes by itself: one fixed
 # size for each number of dimensions. A group of one dimension is a round of a climb.
 LOCAL_SIZES = {1: (CLIMBERS,), 2: (16, 4), 3: (1, 4, 1)}
+# Tables that are kept, the last ones: alignments make tables of their own for each map.
+MOST_TABLES = 64
 # By how much an array that is copied to more memory may grow before the next copy.
 GROWTH = 1.5
 
@@ -229,8 +231,10 @@ class OpenCLDevice(ComputeDevice):
     def table(self, array: npt.NDArray[Scalar]) -> OpenCLArray[Scalar]:
         """Upload a small constant table once."""
         key = array.tobytes()
-        if key not in self._tables:
-            self._tables[key] = self.upload(array)
+        found = self._tables.pop(key, None)
+        self._tables[key] = self.upload(array) if found is None else found
+        if len(self._tables) > MOST_TABLES:
+            self._tables.pop(next(iter(self._tables)), None)
         return self._tables[key]
 
     # -- launching -----------------------------------------------------------------------------

@@ -17,8 +17,8 @@ from collections.abc import Collection, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
+import cv2
 import numpy as np
-import scipy
 
 from slamfusion.align.normalize import NormalizedGrid, normalize_grid
 from slamfusion.align.records import FusionResult
@@ -41,9 +41,9 @@ Row = tuple[float, ...]
 
 # Scans that are placed and counted at once.
 PART = 256
-# A cell is a wall if more than this share of the beams that reached it ended in it, and this number
-# at least; a free one was crossed by at least the third number of beams.
-WALL_SHARE, LEAST_HITS, LEAST_VISITS = 0.25, 2, 3
+# A cell is a wall if more than one of this number of beams that reached it ended in it, and the
+# second number at least; a free one was crossed by at least the third number of beams.
+BEAMS_PER_HIT, LEAST_HITS, LEAST_VISITS = 4, 2, 3
 # A beam that continues beyond a wall for more than this is cut off there, metres.
 BEYOND_M = 0.2
 # Smaller isolated patches of known cells are removed, square metres.
@@ -113,8 +113,9 @@ class MapDrawer:
             self._lay(fresh, [wanted[scan.stamp_s] for scan in fresh])
         hits, visits, corner = self._stopped.cells()
         walls = _is_wall(hits, visits)
-        cells = np.where(walls, OCCUPIED, np.where(visits >= LEAST_VISITS, FREE, UNKNOWN))
-        cells = _without_specks(cells.astype(np.int8), LEAST_AREA_M2 / resolution**2)
+        cells = np.where(visits >= LEAST_VISITS, np.int8(FREE), np.int8(UNKNOWN))
+        cells[walls] = OCCUPIED
+        cells = _without_specks(cells, LEAST_AREA_M2 / resolution**2)
         box = known_box(cells)
         if box is not None:
             # Not by ``OccupancyGrid.crop``, so that the origin is rounded only once.
@@ -169,16 +170,17 @@ class _LaidScan(NamedTuple):
 
 def _is_wall(hits: U32, visits: U32) -> B8:
     """Return which cells are walls, (H, W) bool."""
-    return np.asarray((hits >= LEAST_HITS) & (hits > WALL_SHARE * visits))
+    return np.asarray((hits >= LEAST_HITS) & (BEAMS_PER_HIT * hits > visits))
 
 
 def _without_specks(cells: I8, least_cells: float) -> I8:
     """Return (H, W) cells without small patches of known ones that touch no others."""
-    of, count = scipy.ndimage.label(cells != UNKNOWN, np.ones((3, 3)))
-    sizes = np.bincount(of.ravel(), minlength=count + 1)
+    known = (cells != UNKNOWN).view(np.uint8)
+    _, of, figures, _ = cv2.connectedComponentsWithStats(known, connectivity=8)
+    sizes = figures[:, cv2.CC_STAT_AREA]
     # The largest is the map, however small that is.
     least = min(least_cells, sizes[1:].max(initial=0))
-    return np.where((sizes < least)[of], UNKNOWN, cells).astype(np.int8)
+    return np.where((sizes < least)[of], np.int8(UNKNOWN), cells)
 
 
 def _cut_off(

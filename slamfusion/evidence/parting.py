@@ -55,8 +55,11 @@ def path_spans(evidence: PathEvidence, name: str, other: str) -> tuple[Span, ...
 
 def path_gaps(evidence: PathEvidence, name: str, other: str) -> F64:
     """Return an aligned path less another at each judged scan, (M, 3) metres and radians."""
+    known = evidence.gaps.get((name, other))
+    if known is not None:
+        return known
     moving, still = (evidence.scores[one].poses[evidence.is_judged] for one in (name, other))
-    gaps = _aligned(moving, still) - still
+    gaps = evidence.gaps[name, other] = _aligned(moving, still) - still
     gaps[:, 2] = wrap_angles(gaps[:, 2])
     return gaps
 

@@ -16,7 +16,7 @@ Efficient continuous-time SLAM for 3D lidar-based online mapping, ICRA 2018, mea
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Literal
 
@@ -170,11 +170,13 @@ class PathEvidence:
     Attributes:
         is_judged: (N,) bool, scans that every path has a pose for.
         scores: of the paths, by name, in the order given.
+        gaps: of two paths, as far as ``path_gaps`` was asked for them.
     """
 
     scans: JudgedScans
     is_judged: B8
     scores: Mapping[str, PathScore]
+    gaps: dict[tuple[str, str], F64] = field(default_factory=dict, init=False, repr=False)
 
     def of_paths(self, names: Collection[str]) -> PathEvidence:
         """Return the evidence for some of the paths, in the order of the names."""

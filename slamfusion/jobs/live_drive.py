@@ -75,10 +75,10 @@ ADDED_SCANS = 5
 # A stamp that goes back by more, seconds, is that of a new drive.
 BACK_S = 1.0
 # After a solution of the window there is a rest this many times as long as it took, and at least so
-# many seconds; likewise between solutions of the whole drive. Together at most 20 % of a core: in
+# many seconds; likewise between solutions of the whole drive. Together at most 11 % of a core: in
 # between the pose goes by scans that match what was solved, so new places need new solutions.
-REST, REST_S = 6.0, 2.0
-WHOLE_REST, WHOLE_REST_S = 19.0, 10.0
+REST, REST_S = 12.0, 2.0
+WHOLE_REST, WHOLE_REST_S = 29.0, 10.0
 # Without a scan for so long, seconds, the drive is solved with all hits.
 STILL_S = 2.0
 
