@@ -185,6 +185,10 @@ class OccupancyGrid:
         """Columns of cells."""
         return int(self.cells.shape[1])
 
+    def classified(self, thresholds: NormalizeConfig) -> OccupancyGrid:
+        """Return this map with classes as its cells: -1 unknown, 0 free, 1 occupied."""
+        return replace(self, cells=trinary_cells(self.cells, thresholds))
+
     def with_name(self, name: str) -> OccupancyGrid:
         """Return the same grid under another name."""
         return replace(self, name=name)

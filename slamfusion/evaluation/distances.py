@@ -19,7 +19,7 @@ import scipy
 from slamfusion.config import NormalizeConfig
 from slamfusion.errors import MapFileError, shown
 from slamfusion.geometry import F64, I8, Pose2
-from slamfusion.grid import IDENTITY, UNKNOWN, CellBox, OccupancyGrid, trinary_cells
+from slamfusion.grid import IDENTITY, UNKNOWN, CellBox, OccupancyGrid
 from slamfusion.io.files import read_small
 from slamfusion.io.yaml_file import read_yaml
 
@@ -33,13 +33,12 @@ _BORDER_CELLS = 1e-6
 
 
 def sample_on_lattice(
-    classes: I8, grid: OccupancyGrid, lattice: OccupancyGrid, box: CellBox, transform: Pose2
+    grid: OccupancyGrid, lattice: OccupancyGrid, box: CellBox, transform: Pose2
 ) -> I8:
     """Read a map at the cell centres of another map's lattice, by nearest cell.
 
     Args:
-        classes: (H, W) int8, one value per cell of ``grid``.
-        grid: gives resolution and origin of ``classes``; origin yaw is honoured.
+        grid: its cells may be of any meaning; origin yaw is honoured.
         transform: maps a point of ``grid``'s map frame into ``lattice``'s, metres.
 
     Returns:
@@ -60,13 +59,13 @@ def sample_on_lattice(
         cols = np.floor(step_x * col_centres - step_y * row_centres + shift_x)
         rows = np.floor(step_y * col_centres + step_x * row_centres + shift_y)
         inside = (rows >= 0) & (rows < grid.height) & (cols >= 0) & (cols < grid.width)
-        block[inside] = classes[rows[inside].astype(np.int64), cols[inside].astype(np.int64)]
+        block[inside] = grid.cells[rows[inside].astype(np.int64), cols[inside].astype(np.int64)]
     return sampled
 
 
-def wall_centres(classes: I8, grid: OccupancyGrid, transform: Pose2 = IDENTITY) -> F64:
-    """Return the centres (N, 2) of occupied cells (class 1), in metres, moved by ``transform``."""
-    rows, cols = np.nonzero(classes == 1)
+def wall_centres(grid: OccupancyGrid, transform: Pose2 = IDENTITY) -> F64:
+    """Return the centres (N, 2) of the walls of a classified map, moved by a motion, metres."""
+    rows, cols = np.nonzero(grid.cells == 1)
     return transform.transform(grid.cell_centres(rows, cols))
 
 
@@ -134,7 +133,7 @@ def compare_distances(
     normalize: NormalizeConfig = _DEFAULT_NORMALIZE,
 ) -> DistanceComparison:
     """Compare measured distances with those between the walls of a map, in the points' frame."""
-    walls = wall_centres(trinary_cells(grid.cells, normalize), grid)
+    walls = wall_centres(grid.classified(normalize))
     tree = scipy.spatial.KDTree(walls) if walls.shape[0] else None
     compared = []
     for row in distances:

@@ -13,14 +13,12 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.config import NormalizeConfig
 from slamfusion.geometry import B8, F32, I8, I64
-from slamfusion.grid import CellBox, OccupancyGrid, trinary_cells
+from slamfusion.grid import CellBox
 
 # Rows and columns of a part of an array.
 Window = tuple[slice, slice]
 
-_DEFAULT_NORMALIZE = NormalizeConfig()
 # Tile size; tiles without walls are skipped.
 TILE_CELLS = 1024
 # Cells beyond the end of a ray that the filter windows reach.
@@ -40,9 +38,7 @@ WALL_LEVEL, STEPS_PER_CELL = 0.4, 2
 PARALLEL_DEG = 20.0
 
 
-def doubled_wall_share(
-    grid: OccupancyGrid | B8, *, normalize: NormalizeConfig = _DEFAULT_NORMALIZE
-) -> float:
+def doubled_wall_share(walls: B8) -> float:
     """Return the share of wall cells that have a parallel wall ``NEAR`` to ``FAR`` cells away.
 
     From each wall cell a ray goes along the wall's normal to either side. It crosses its own wall,
@@ -54,7 +50,7 @@ def doubled_wall_share(
     a line fit would turn away from them.
 
     Args:
-        grid: a grid, or (H, W) bool with True for a wall.
+        walls: (H, W) bool.
 
     Returns:
         0..1; 0 for a map without walls.
@@ -62,7 +58,7 @@ def doubled_wall_share(
     Source: structure tensor and coherence as in Bigun and Granlund, "Optimal orientation detection
         of linear symmetry", ICCV 1987.
     """
-    considered, doubled = _count(_walls(grid, normalize))
+    considered, doubled = _count(walls)
     return int(np.count_nonzero(doubled)) / considered if considered else 0.0
 
 
@@ -230,10 +226,3 @@ def _tiles(shape: tuple[int, ...]) -> Iterator[tuple[Window, Window, Window]]:
                 slice(part.start - at, part.stop - at) for part, at in zip(tile, first, strict=True)
             )
             yield tile, wide, (rows, cols)
-
-
-def _walls(grid: OccupancyGrid | B8, normalize: NormalizeConfig) -> B8:
-    if isinstance(grid, OccupancyGrid):
-        classes = trinary_cells(grid.cells, normalize)
-        return np.equal(classes, 1, out=classes.view(np.bool_))
-    return np.asarray(grid, dtype=np.bool_)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
@@ -19,15 +19,7 @@ from slamfusion.evaluation import wall_faces
 from slamfusion.evaluation.distances import sample_on_lattice, wall_centres
 from slamfusion.evaluation.doubled_walls import doubled_wall_share
 from slamfusion.geometry import B8, F32, I8, I64, Pose2
-from slamfusion.grid import (
-    FREE,
-    IDENTITY,
-    OCCUPIED,
-    UNKNOWN,
-    OccupancyGrid,
-    known_box,
-    trinary_cells,
-)
+from slamfusion.grid import FREE, IDENTITY, OCCUPIED, UNKNOWN, OccupancyGrid, known_box
 from slamfusion.json_values import POSE
 
 # Codes of ``MapError.difference``.
@@ -167,9 +159,8 @@ def compare_to_truth(
     if not (math.isfinite(tolerance_m) and tolerance_m >= 0):
         message = f"tolerance_m must be a distance in metres, at least 0, found {tolerance_m}"
         raise ValueError(message)
-    true_classes = trinary_cells(truth.cells, normalize)
-    map_classes = trinary_cells(grid.cells, normalize)
-    box = known_box(true_classes)
+    grid, truth = grid.classified(normalize), truth.classified(normalize)
+    box = known_box(truth.cells)
     if box is None:
         raise GridError(
             f"{truth.name}: the truth has no cell that is surely free or occupied; "
@@ -177,24 +168,23 @@ def compare_to_truth(
         )
 
     # The cells, on the truth's lattice.
-    expected = true_classes[box.row0 : box.row1, box.col0 : box.col1]
-    found = sample_on_lattice(map_classes, grid, truth, box, transform)
+    expected = truth.cells[box.row0 : box.row1, box.col0 : box.col1]
+    found = sample_on_lattice(grid, truth, box, transform)
     mapped = None
     if is_plan:
         is_seen = _within(found != UNKNOWN, tolerance_m / truth.resolution)
         is_wall = expected == 1
         mapped = float((is_wall & is_seen).sum() / max(1, int(is_wall.sum())))
         expected = np.where(is_seen, expected, np.int8(UNKNOWN))
-        true_classes = np.full_like(true_classes, UNKNOWN)
-        true_classes[box.row0 : box.row1, box.col0 : box.col1] = expected
+        seen = np.full_like(truth.cells, UNKNOWN)
+        seen[box.row0 : box.row1, box.col0 : box.col1] = expected
+        truth = replace(truth, cells=seen)
     confusion = _confusion(expected, found)
     difference = _DIFFERENCE[expected + 1, found + 1]
     difference.flags.writeable = False
 
     # The walls, as points of the truth's map frame.
-    true_walls = wall_centres(true_classes, truth)
-    map_walls = wall_centres(map_classes, grid, transform)
-    walls = wall_faces.Nearness.between(map_walls, true_walls)
+    walls = wall_faces.Nearness.between(wall_centres(grid, transform), wall_centres(truth))
     agreement = walls.agreement(tolerance_m)
 
     known = max(1, int(confusion[1:].sum()))
@@ -215,12 +205,10 @@ def compare_to_truth(
         iou_free=_intersection_over_union(confusion, 1),
         map_to_truth_m=wall_faces.distance_summary(walls.map_to_truth),
         truth_to_map_m=wall_faces.distance_summary(walls.truth_to_map),
-        faces=wall_faces.compare_faces(map_classes, grid, transform, true_classes, truth),
-        wall_thickness_m=wall_faces.wall_thickness(grid, normalize=normalize),
-        doubled_wall_share=doubled_wall_share(grid, normalize=normalize),
-        outside_m2=wall_faces.outside_area(
-            map_classes, grid, transform, true_classes, truth, margin_m=tolerance_m
-        ),
+        faces=wall_faces.compare_faces(grid, truth, transform),
+        wall_thickness_m=wall_faces.wall_thickness(grid),
+        doubled_wall_share=doubled_wall_share(grid.cells == 1),
+        outside_m2=wall_faces.outside_area(grid, truth, transform, margin_m=tolerance_m),
         ssim=_mean_ssim(expected, found),
         coverage=int(confusion[1:, 1:].sum()) / known,
         tolerance_m=tolerance_m,

@@ -8,16 +8,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 import scipy
 
-from slamfusion.config import NormalizeConfig
 from slamfusion.evaluation.distances import wall_centres
 from slamfusion.geometry import B8, F64, I8, Pose2
-from slamfusion.grid import UNKNOWN, OccupancyGrid, trinary_cells
+from slamfusion.grid import UNKNOWN, OccupancyGrid
 
 # A wall exactly the tolerance away counts, whatever the rounding of the poses.
 _TOLERANCE_SLACK_M = 1e-6
@@ -34,8 +33,6 @@ class WallDistance:
     max: float
     """The largest, metres."""
 
-
-_DEFAULT_NORMALIZE = NormalizeConfig()
 
 # Tolerances of faces, metres: a cell of usual maps, two cells, and a robot's safety margin.
 FACE_TOLERANCES_M = (0.05, 0.1, 0.2)
@@ -139,20 +136,16 @@ def face_cells(classes: I8) -> B8:
     return np.asarray((classes == _WALL) & beside)
 
 
-def compare_faces(
-    classes: I8, grid: OccupancyGrid, transform: Pose2, true_classes: I8, truth: OccupancyGrid
-) -> WallFaces:
-    """Compare the faces of a map's walls with the true ones.
+def compare_faces(grid: OccupancyGrid, truth: OccupancyGrid, transform: Pose2) -> WallFaces:
+    """Compare the faces of a map's walls with the true ones, both classified.
 
     Faces are found on each map's own lattice; distances lie between the centres of their cells.
-
-    Args:
-        classes: (H, W) int8 in {-1, 0, 1}, the cells of ``grid``; likewise ``true_classes``.
-        transform: maps a point of the map's frame into the truth's, metres.
+    ``transform`` maps a point of the map's frame into the truth's, metres.
     """
-    found = wall_centres(face_cells(classes).view(np.int8), grid, transform)
-    expected = wall_centres(face_cells(true_classes).view(np.int8), truth)
-    faces = Nearness.between(found, expected)
+    found, expected = (
+        replace(own, cells=face_cells(own.cells).view(np.int8)) for own in (grid, truth)
+    )
+    faces = Nearness.between(wall_centres(found, transform), wall_centres(expected))
     return WallFaces(
         tuple(map(faces.agreement, FACE_TOLERANCES_M)),
         distance_summary(faces.map_to_truth),
@@ -160,19 +153,16 @@ def compare_faces(
     )
 
 
-def wall_thickness(
-    grid: OccupancyGrid, *, normalize: NormalizeConfig = _DEFAULT_NORMALIZE
-) -> WallThickness | None:
-    """Measure how thick the walls of a map are; None without a face.
+def wall_thickness(grid: OccupancyGrid) -> WallThickness | None:
+    """Measure how thick the walls of a classified map are; None without a face.
 
     Through each face cell the occupied cells in a row are counted along rows, columns and both
     diagonals; the shortest is the thickness there, so that a slanted wall is hardly thicker.
     """
-    classes = trinary_cells(grid.cells, normalize)
-    faces = face_cells(classes)
+    faces = face_cells(grid.cells)
     if not faces.any():
         return None
-    walls = classes == _WALL
+    walls = grid.cells == _WALL
     runs = [
         (_run_behind(walls, row, col) + _run_behind(walls, -row, -col) - 1)[faces] * length
         for row, col, length in _DIRECTIONS
@@ -186,13 +176,7 @@ def wall_thickness(
 
 
 def outside_area(
-    classes: I8,
-    grid: OccupancyGrid,
-    transform: Pose2,
-    true_classes: I8,
-    truth: OccupancyGrid,
-    *,
-    margin_m: float,
+    grid: OccupancyGrid, truth: OccupancyGrid, transform: Pose2, *, margin_m: float
 ) -> float:
     """Return the area that a map knows outside of the truth's outline, square metres.
 
@@ -201,17 +185,17 @@ def outside_area(
     is beyond the truth's box.
 
     Args:
-        classes: (H, W) int8 in {-1, 0, 1}, the cells of ``grid``; likewise ``true_classes``.
+        grid: classified, like ``truth``.
         transform: maps a point of the map's frame into the truth's, metres.
         margin_m: a cell this near to the outline does not count, at least 0.
     """
     margin = math.floor(margin_m / truth.resolution + 1e-6)
-    known = np.pad(true_classes != UNKNOWN, margin)
+    known = np.pad(truth.cells != UNKNOWN, margin)
     outline = scipy.ndimage.binary_fill_holes(known)
     if margin:
         # Euclidean distance; a square of cells would reach further.
         outline = scipy.ndimage.distance_transform_edt(~outline) <= margin + 1e-6
-    rows, cols = np.nonzero(classes != UNKNOWN)
+    rows, cols = np.nonzero(grid.cells != UNKNOWN)
     points = transform.transform(grid.cell_centres(rows, cols))
     true_rows, true_cols = truth.cell_indices(points)
     true_rows, true_cols = true_rows + margin, true_cols + margin

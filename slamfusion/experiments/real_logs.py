@@ -184,7 +184,7 @@ def _compare_on_log(
             }
             rows += result_rows(name, "", method, figures)
             differences[method] = found.difference
-    doubled = doubled_wall_share(reference, normalize=config.fusion.normalize)
+    doubled = doubled_wall_share(reference.classified(config.fusion.normalize).cells == 1)
     rows += result_rows(name, "", REFERENCE, {"doubled_wall_share": doubled})
     remark = f"the reference map is drawn by {count} of {len(scans)} scans at {files.source}"
     if made.choice:

@@ -103,7 +103,7 @@ class DoubledWalls:
         shares = {
             record.name: known[record.name]
             if record.name in known
-            else doubled_wall_share(record.grid, normalize=normalize)
+            else doubled_wall_share(record.grid.classified(normalize).cells == 1)
             for record in result.inputs
         }
         layers = (record.layer for record in result.accepted if record.layer is not None)

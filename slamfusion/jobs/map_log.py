@@ -312,16 +312,16 @@ def write_slam_report(
     """
     from slamfusion.report import errors, layers, maps, page, paths  # noqa: PLC0415  (an extra)
 
-    run, normalize = result.run, config.fusion.normalize
-    grid, trajectory, odometry = run.grid, run.trajectory, run.odometry
+    run = result.run
+    trajectory, odometry = run.trajectory, run.odometry
+    grid = run.grid.classified(config.fusion.normalize)
     # A resumed run's log may only go on: then its odometry cannot start where the path does.
     if result.resumed_from is not None and odometry is not None:
         odometry = None if odometry.stamps_s[0] > trajectory.stamps_s[0] else odometry
     pictures = [
-        maps.input_picture(grid, normalize),
+        maps.input_picture(grid),
         *paths.path_pictures(
             trajectory,
-            config=config,
             grid=grid,
             errors=result.measures.truth,
             truth=truth,
@@ -330,11 +330,9 @@ def write_slam_report(
         ),
     ]
     if run.closures:
-        pictures.append(
-            paths.closures_picture(trajectory, run.closures, grid=grid, normalize=normalize)
-        )
-    statistics = maps.map_statistics([grid], normalize)
-    shown = layers.map_layers(grid, trajectory)
+        pictures.append(paths.closures_picture(trajectory, run.closures, grid))
+    statistics = maps.map_statistics([grid])
+    shown = layers.map_layers(run.grid, trajectory)
     sections = [page.Section("Map and path", "", pictures, statistics, layers=shown)]
     sections += errors.errors_section([result.path], colours_of([run.name]))
     over_time = []

@@ -59,7 +59,8 @@ class AlignedPlan:
             lines = world_file(self.plan, self.alignment.transform)
             write_atomic(folder / WORLD_FILE, lines.encode())
             colours = input_colours((self.plan.name, self.reference.name))
-            picture = pair_overlay(self.plan, self.reference, self.of_map, normalize, colours)
+            plan, reference = (grid.classified(normalize) for grid in (self.plan, self.reference))
+            picture = pair_overlay(plan, reference, self.of_map, colours)
             if picture is not None:
                 write_atomic(folder / OVERLAY, picture.png)
 
@@ -69,7 +70,7 @@ class AlignedPlan:
         own, along = Lattice(grid.resolution, grid.origin), Lattice(grid.resolution, Pose2())
         box = along.box_of(CellBox(0, 0, grid.height, grid.width), own, transform)
         lattice = replace(grid, origin=along.origin)
-        cells = sample_on_lattice(grid.cells, grid, lattice, box, transform)
+        cells = sample_on_lattice(grid, lattice, box, transform)
         return replace(grid, cells=cells, origin=along.corner(box.row0, box.col0))
 
 

@@ -142,9 +142,9 @@ class DrawnMap:
     @classmethod
     def of(cls, grid: OccupancyGrid, config: RunConfig) -> DrawnMap:
         """Measure a drawn map."""
-        normalize = config.fusion.normalize
-        doubled = doubled_wall_share(grid, normalize=normalize)
-        return cls(grid, None, doubled, wall_thickness(grid, normalize=normalize))
+        classified = grid.classified(config.fusion.normalize)
+        doubled = doubled_wall_share(classified.cells == 1)
+        return cls(grid, None, doubled, wall_thickness(classified))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

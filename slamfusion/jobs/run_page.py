@@ -9,6 +9,7 @@ from pathlib import Path
 from slamfusion.evaluation.measured import MeasuredPath
 from slamfusion.fusion.path_check import PATH_GAP_M
 from slamfusion.geometry import Pose2
+from slamfusion.grid import OccupancyGrid
 from slamfusion.jobs.run_files import LogRun
 from slamfusion.palette import NAMED, Rgb
 from slamfusion.report import fusion_report, maps, page, paths
@@ -30,7 +31,6 @@ def write_run_page(run: LogRun, directory: str | Path) -> Path:
 def run_page(run: LogRun) -> page.Page:
     """Return the report of a run."""
     config, result = run.made_with.config, run.fusion.result
-    normalize = config.fusion.normalize
     # Each input and path has one colour on all of the page.
     colours = maps.input_colours([*(grid.name for grid in run.grids), *run.paths])
     colours[FUSED_PATH] = NAMED["fused"]
@@ -46,7 +46,7 @@ def run_page(run: LogRun) -> page.Page:
     if result is not None:
         sections.append(fusion_report.alignment_section(result))
     elif run.fusion.pairs:
-        sections.append(maps.pairs_section(run.grids, run.fusion.pairs, normalize))
+        sections.append(maps.pairs_section(_classified(run), run.fusion.pairs))
     sections += errors_section(measured, colours)
     if run.evaluations:
         alignments = [item.alignment for item in run.evaluations]
@@ -57,10 +57,14 @@ def run_page(run: LogRun) -> page.Page:
         doubled = None if walls is None else walls.inputs | {FUSED_MAP: walls.fused}
         sections.append(fusion_report.statistics_section(result, config, doubled))
     elif run.grids:
-        table = maps.map_statistics(run.grids, normalize)
+        table = maps.map_statistics(_classified(run))
         sections.append(page.Section("The maps in numbers", tables=table))
     facts = _facts(run, measured)
     return page.Page("SLAMfusion run", _banner(run), facts, sections, config, run.made_with.device)
+
+
+def _classified(run: LogRun) -> list[OccupancyGrid]:
+    return [grid.classified(run.made_with.config.fusion.normalize) for grid in run.grids]
 
 
 def _banner(run: LogRun) -> page.Banner:
@@ -119,7 +123,7 @@ def _maps_section(run: LogRun, colours: Mapping[str, Rgb]) -> page.Section:
     """Return who was off when, the fused map, the inputs that voted, and where they agree."""
     result, config, answer = run.fusion.result, run.made_with.config, run.recommendation
     if result is None:
-        pictures = [maps.input_picture(grid, config.fusion.normalize) for grid in run.grids]
+        pictures = [maps.input_picture(grid) for grid in _classified(run)]
         return page.Section("Maps", "Each map in its own frame.", pictures)
     voted = {record.name for record in result.accepted}
     shown = {name: own.trajectory for name, own in run.paths.items() if name in voted}
@@ -193,8 +197,8 @@ def _paths_section(run: LogRun, colours: Mapping[str, Rgb]) -> page.Section:
         pictures.append(_together(run, placed, colours))
     else:
         for name, item in run.results.items():
-            path, grid = item.run.trajectory, item.run.grid
-            picture = paths.path_picture(path, grid=grid, normalize=config.fusion.normalize)
+            grid = item.run.grid.classified(config.fusion.normalize)
+            picture = paths.path_picture(item.run.trajectory, grid=grid)
             title = f"{name}: its path over its map"
             pictures.append(page.Picture(f"path-{name}", picture, title, legend=MARKS))
     if gaps := run.path_gaps:
@@ -246,11 +250,8 @@ def _together(run: LogRun, placed: Mapping[str, Pose2], colours: Mapping[str, Rg
         sentences.append(
             "Raw odometry is aligned with its start; drift far beyond the picture is cut off."
         )
-    picture = paths.paths_picture(
-        lines,
-        top,
-        grid=None if result is None else result.fused,
-        normalize=run.made_with.config.fusion.normalize,
-    )
+    normalize = run.made_with.config.fusion.normalize
+    grid = None if result is None else result.fused.classified(normalize)
+    picture = paths.paths_picture(lines, top, grid=grid)
     title, text = "The paths over the fused map", " ".join(sentences)
     return page.Picture("paths", picture, title, text, legend=paths.paths_legend(lines))

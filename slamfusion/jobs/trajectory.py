@@ -146,10 +146,12 @@ def write_trajectories(
     for case, measured in cases.items():
         first = measured[0]
         if len(measured) == 1:
+            grid = None
+            if first.grid is not None:
+                grid = first.grid.classified(config.fusion.normalize)
             pictures = paths.path_pictures(
                 first.trajectory,
-                config=config,
-                grid=first.grid,
+                grid=grid,
                 errors=first.measures.truth,
                 truth=first.ground_truth.truth,
                 odometry=first.ground_truth.scans if len(found) == 1 else None,

@@ -23,10 +23,10 @@ from matplotlib.ticker import MaxNLocator  # noqa: TID251
 from matplotlib.transforms import Affine2D, Bbox  # noqa: TID251
 
 from slamfusion import palette
-from slamfusion.config import PICTURE_FORMS, NormalizeConfig
+from slamfusion.config import PICTURE_FORMS
 from slamfusion.errors import SlamFusionError
 from slamfusion.geometry import B8, F64, I8, U8, Pose2
-from slamfusion.grid import CellBox, OccupancyGrid, box_origin, trinary_cells
+from slamfusion.grid import CellBox, OccupancyGrid, box_origin
 
 # Cells as -1 unknown, 0 free, 1 wall.
 Classes = I8
@@ -316,21 +316,20 @@ def cells_extent(shape: tuple[int, ...], side_m: float, corner: Pose2) -> Bbox:
     return box_of(corner.transform([(0, 0), (wide, 0), (0, tall), (wide, tall)]))
 
 
-def place_extent(poses: F64, grid: OccupancyGrid | None, normalize: NormalizeConfig) -> Bbox:
+def place_extent(poses: F64, grid: OccupancyGrid | None) -> Bbox:
     """Return the box of poses, (N, 3) x, y, yaw, and of what the map knows, where there is one."""
     if grid is None:
         return box_of(poses)
-    box = crop_box(trinary_cells(grid.cells, normalize) != -1)
+    box = crop_box(grid.cells != -1)
     corner = box_origin(grid.origin, grid.resolution, box)
     return grown(box_of(poses), cells_extent((box.height, box.width), grid.resolution, corner))
 
 
-def draw_grid(axes: Axes, grid: OccupancyGrid | None, normalize: NormalizeConfig) -> None:
-    """Draw a map, where there is one, in its frame, in the colours of ``maps.map_picture``."""
+def draw_grid(axes: Axes, grid: OccupancyGrid | None) -> None:
+    """Draw a classified map, if there is one, in its frame, coloured as by ``maps.map_picture``."""
     if grid is None:
         return
-    cells = trinary_cells(grid.cells, normalize)
-    pooled, side_m, corner = shown_cells(cells, grid.resolution, grid.origin)
+    pooled, side_m, corner = shown_cells(grid.cells, grid.resolution, grid.origin)
     colours = np.array((palette.UNKNOWN_RGB, palette.FREE_RGB, palette.WALL_RGB), dtype=np.uint8)
     # Unknown cells have no colour here: around the map there is nothing either.
     rgba = np.dstack((colours[pooled + 1], np.where(pooled == -1, 0, 255).astype(np.uint8)))

@@ -52,17 +52,17 @@ def write_failure_report(
     device: str = "",
 ) -> Path:
     """Write the report of maps that could not be fused: maps, pairs, reason; see ``write_page``."""
-    normalize = config.fusion.normalize
+    grids = [grid.classified(config.fusion.normalize) for grid in grids]
     sections = [
         page.Section(
             "Inputs",
             "The maps as they were given.",
-            [maps.input_picture(grid, normalize) for grid in grids],
-            maps.map_statistics(grids, normalize) if grids else page.NO_TABLES,
+            [maps.input_picture(grid) for grid in grids],
+            maps.map_statistics(grids) if grids else page.NO_TABLES,
         )
     ]
     if pairs:
-        sections.append(maps.pairs_section(grids, pairs, normalize))
+        sections.append(maps.pairs_section(grids, pairs))
         curves = maps.yaw_pictures(pairs)
         if curves:
             sections.append(page.Section("Score over yaw", maps.YAW_TEXT, curves))
@@ -208,7 +208,7 @@ def _shown_box(result: FusionResult) -> CellBox:
 def inputs_section(result: FusionResult, config: RunConfig) -> page.Section:
     """Return every input: one that votes aligned, a rejected one also at its best alignment."""
     normalize, fused = config.fusion.normalize, result.fused
-    grids = {record.name: record.grid for record in result.inputs}
+    grids = {record.name: record.grid.classified(normalize) for record in result.inputs}
     colours, box = maps.input_colours(list(grids)), _shown_box(result)
     pictures: list[page.Picture | None] = []
     for record in result.inputs:
@@ -226,12 +226,10 @@ def inputs_section(result: FusionResult, config: RunConfig) -> page.Section:
             pictures.append(page.Picture(stem, drawn, title, caption, legend=legend))
             continue
         rejected = None if record.accepted else record.reason
-        pictures.append(maps.input_picture(record.grid, normalize, rejected=rejected))
+        pictures.append(maps.input_picture(grids[record.name], rejected))
         if not record.accepted and alignment is not None and alignment.reference in grids:
-            reference = grids[alignment.reference]
-            pictures.append(
-                maps.pair_overlay(reference, record.grid, alignment, normalize, colours)
-            )
+            pair = grids[alignment.reference], grids[record.name]
+            pictures.append(maps.pair_overlay(*pair, alignment, colours))
     text = (
         "The inputs that vote, aligned with the fused map; a rejected one is in its own frame. "
         "Scattered outvoted cells are noise; at a whole outvoted wall this map or all others are "
@@ -281,7 +279,8 @@ def statistics_section(
     """
     grids = [*(record.grid for record in result.inputs), result.fused.with_name("fused map")]
     found = page.tables().votes(result, _outvoted)
-    found += maps.map_statistics(grids, config.fusion.normalize, doubled or {})
+    classified = [grid.classified(config.fusion.normalize) for grid in grids]
+    found += maps.map_statistics(classified, doubled or {})
     return page.Section("Votes and maps in numbers", tables=found)
 
 

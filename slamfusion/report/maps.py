@@ -14,14 +14,13 @@ from matplotlib.figure import Figure  # noqa: TID251
 
 from slamfusion import palette
 from slamfusion.align.records import Alignment
-from slamfusion.config import NormalizeConfig
 from slamfusion.evaluation import map_error
 from slamfusion.evaluation.distances import sample_on_lattice
 from slamfusion.evaluation.doubled_walls import doubled_wall_share
 from slamfusion.evaluation.measured import Figure as Measure
 from slamfusion.evaluation.measured import face_figures, shown_figures
 from slamfusion.geometry import B8, F64, U8, Pose2
-from slamfusion.grid import CellBox, OccupancyGrid, box_origin, known_box, trinary_cells
+from slamfusion.grid import CellBox, OccupancyGrid, box_origin, known_box
 from slamfusion.report import canvas
 from slamfusion.report.page import Picture, Section, tables
 from slamfusion.web.scene import layer_name
@@ -195,13 +194,10 @@ def judged_picture(
     return Picture(stem, figure, title, f"{lead}{alignment.reason}", badge=badge, legend=legend)
 
 
-def input_picture(
-    grid: OccupancyGrid, normalize: NormalizeConfig, *, rejected: str | None = None
-) -> Picture:
-    """Return one input in its own frame, framed and marked if it was rejected for a reason."""
-    classes = trinary_cells(grid.cells, normalize)
+def input_picture(grid: OccupancyGrid, rejected: str | None = None) -> Picture:
+    """Return a classified input in its frame, framed and marked if it was rejected for a reason."""
     size = f"{grid.width} x {grid.height} cells of {grid.resolution:g} m"
-    figure = map_picture(classes, grid.resolution, grid.origin)
+    figure = map_picture(grid.cells, grid.resolution, grid.origin)
     caption, badge = (
         (size, "") if rejected is None else (f"{size}. Rejected: {rejected}", "rejected")
     )
@@ -219,12 +215,10 @@ def pair_overlay(
     reference: OccupancyGrid,
     moving: OccupancyGrid,
     alignment: Alignment,
-    normalize: NormalizeConfig,
     colours: Mapping[str, palette.Rgb],
 ) -> Picture | None:
-    """Return an overlay of a pair; None if they are too far apart or one is all unknown."""
-    fixed, moved = trinary_cells(reference.cells, normalize), trinary_cells(moving.cells, normalize)
-    own, other = known_box(fixed), known_box(moved)
+    """Overlay two classified maps; None if they are too far apart or one is all unknown."""
+    own, other = known_box(reference.cells), known_box(moving.cells)
     if own is None or other is None:
         return None
     corners = [(col, row) for row in (other.row0, other.row1) for col in (other.col0, other.col1)]
@@ -239,8 +233,8 @@ def pair_overlay(
     if box.area > _OVERLAY_CELLS:
         return None
     layers = [
-        sample_on_lattice(fixed, reference, reference, box, Pose2()),
-        sample_on_lattice(moved, moving, reference, box, alignment.transform),
+        sample_on_lattice(reference, reference, box, Pose2()),
+        sample_on_lattice(moving, reference, box, alignment.transform),
     ]
     legend = {name: colours[name] for name in (reference.name, moving.name)}
     figure = overlay_picture(
@@ -259,14 +253,12 @@ def pair_overlay(
     )
 
 
-def pairs_section(
-    grids: Sequence[OccupancyGrid], pairs: Sequence[Alignment], normalize: NormalizeConfig
-) -> Section:
-    """Return the pairs that were tried if nothing was fused: first overlays, a table of all."""
+def pairs_section(grids: Sequence[OccupancyGrid], pairs: Sequence[Alignment]) -> Section:
+    """Return the pairs of classified maps that were tried: first overlays, then a table of all."""
     by_name = {grid.name: grid for grid in grids}
     colours = input_colours(list(by_name))
     overlays = [
-        pair_overlay(by_name[pair.reference], by_name[pair.moving], pair, normalize, colours)
+        pair_overlay(by_name[pair.reference], by_name[pair.moving], pair, colours)
         for pair in pairs[:_MOST_OVERLAYS]
         if pair.reference in by_name and pair.moving in by_name
     ]
@@ -297,19 +289,15 @@ def yaw_pictures(alignments: Sequence[Alignment]) -> list[Picture]:
 
 
 def map_statistics(
-    grids: Sequence[OccupancyGrid],
-    normalize: NormalizeConfig,
-    doubled: Mapping[str, float] = MappingProxyType({}),
+    grids: Sequence[OccupancyGrid], doubled: Mapping[str, float] = MappingProxyType({})
 ) -> Markup:
-    """Return maps in numbers; ``doubled``: shares of doubled walls that are known already."""
+    """Return classified maps in numbers; ``doubled``: known shares of doubled walls."""
     rows: list[Mapping[str, Any]] = []
     for grid in grids:
-        cells = trinary_cells(grid.cells, normalize)
-        share = doubled.get(grid.name)
-        share = doubled_wall_share(grid, normalize=normalize) if share is None else share
-        known_m2 = int(np.count_nonzero(cells != -1)) * grid.resolution**2
-        walls = int(np.count_nonzero(cells == 1))
-        row = {"grid": grid, "known_m2": known_m2, "wall_cells": walls}
+        walls, share = grid.cells == 1, doubled.get(grid.name)
+        share = doubled_wall_share(walls) if share is None else share
+        known_m2 = int(np.count_nonzero(grid.cells != -1)) * grid.resolution**2
+        row = {"grid": grid, "known_m2": known_m2, "wall_cells": int(np.count_nonzero(walls))}
         rows.append({**row, "doubled_percent": 100.0 * share})
     return Markup(tables().statistics(rows))  # noqa: S704 - made by the template
 

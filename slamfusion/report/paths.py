@@ -12,7 +12,6 @@ from matplotlib.collections import LineCollection  # noqa: TID251
 from matplotlib.colors import LinearSegmentedColormap, Normalize  # noqa: TID251
 from matplotlib.figure import Figure  # noqa: TID251
 
-from slamfusion.config import NormalizeConfig, RunConfig
 from slamfusion.evaluation.measured import MeasuredPath
 from slamfusion.evaluation.trajectory_error import TrajectoryErrors
 from slamfusion.evidence.parting import PART_M, path_gap_m
@@ -25,8 +24,6 @@ from slamfusion.report import canvas
 from slamfusion.report.page import Picture, Section, tables
 from slamfusion.slam.common.mapper import Closure
 from slamfusion.trajectory import Trajectory
-
-_NORMALIZE = NormalizeConfig()
 
 _OTHERS = "other paths"
 # Ends of both colour scales that would vanish on white are cut off.
@@ -50,11 +47,7 @@ def laid_on_start(odometry: Trajectory, path: Trajectory) -> Trajectory:
 
 
 def path_picture(
-    trajectory: Trajectory,
-    *,
-    grid: OccupancyGrid | None = None,
-    normalize: NormalizeConfig = _NORMALIZE,
-    values: F64 | None = None,
+    trajectory: Trajectory, *, grid: OccupancyGrid | None = None, values: F64 | None = None
 ) -> Figure:
     """Draw a path over its map, coloured by time or by an error of each pose, (N,) float64, m."""
     poses, span = trajectory.poses, _ERROR_SPAN
@@ -62,8 +55,8 @@ def path_picture(
     if shown is None:
         label, scale, span = "time since the start [s]", "plasma", _TIME_SPAN
         shown = trajectory.stamps_s - trajectory.stamps_s[0]
-    figure, axes = canvas.map_axes(canvas.place_extent(poses, grid, normalize), bar=True)
-    canvas.draw_grid(axes, grid, normalize)
+    figure, axes = canvas.map_axes(canvas.place_extent(poses, grid), bar=True)
+    canvas.draw_grid(axes, grid)
     lines = LineCollection(
         list(np.stack((poses[:-1, :2], poses[1:, :2]), axis=1)),
         cmap=LinearSegmentedColormap.from_list("part", colormaps[scale](np.linspace(*span, 256))),
@@ -116,7 +109,6 @@ def paths_picture(
     *,
     others: Sequence[Trajectory] = (),
     grid: OccupancyGrid | None = None,
-    normalize: NormalizeConfig = _NORMALIZE,
 ) -> Figure:
     """Draw several paths of one drive in one frame over each other.
 
@@ -126,7 +118,7 @@ def paths_picture(
         others: its alternatives, drawn faintly under the lines; cut off as drift.
     """
     shown = [other for other in others if len(other)]
-    extent = canvas.place_extent(marked.poses, grid, normalize)
+    extent = canvas.place_extent(marked.poses, grid)
     for line in sorted(lines, key=lambda line: line.is_cut):
         extent = canvas.grown(
             extent, canvas.box_of(line.path.poses), _DRIFT_SHARE if line.is_cut else None
@@ -134,7 +126,7 @@ def paths_picture(
     for other in shown:
         extent = canvas.grown(extent, canvas.box_of(other.poses), _DRIFT_SHARE)
     figure, axes = canvas.map_axes(extent)
-    canvas.draw_grid(axes, grid, normalize)
+    canvas.draw_grid(axes, grid)
     # At a fixed stride, and the last; the first of them is on top.
     step = max(1, -(-sum(map(len, shown)) // _OTHERS_POINTS))
     faint = [path.poses[np.r_[: len(path) - 1 : step, -1], :2] for path in reversed(shown)]
@@ -170,7 +162,6 @@ def _others_rgb(name: str) -> Rgb:
 def path_pictures(
     trajectory: Trajectory,
     *,
-    config: RunConfig,
     grid: OccupancyGrid | None = None,
     errors: TrajectoryErrors | None = None,
     truth: Trajectory | None = None,
@@ -180,16 +171,15 @@ def path_pictures(
     """Return pictures of the path by time, by its error, and with the truth and raw odometry.
 
     Args:
-        trajectory: the estimate, in the frame of ``grid``.
+        trajectory: the estimate, in the frame of ``grid``, which is classified.
         errors: align the truth with the estimate; without them the truth is left out.
         truth, odometry: each in its own frame.
         others: alternatives that the SLAM still considered.
     """
-    normalize = config.fusion.normalize
     pictures = [
         Picture(
             "path",
-            path_picture(trajectory, grid=grid, normalize=normalize),
+            path_picture(trajectory, grid=grid),
             "The path over the map" if grid is not None else "The path",
             f"{len(trajectory)} poses, {trajectory.path_length_m():.1f} m.",
             legend=canvas.MARKS,
@@ -209,7 +199,7 @@ def path_pictures(
         pictures.append(
             Picture(
                 "paths",
-                paths_picture(lines, trajectory, others=others, grid=grid, normalize=normalize),
+                paths_picture(lines, trajectory, others=others, grid=grid),
                 "The path and others",
                 " ".join(captions),
                 legend=paths_legend(lines, others),
@@ -220,7 +210,6 @@ def path_pictures(
         figure = path_picture(
             aligned.moved(errors.alignment.transform.inverse()),
             grid=grid,
-            normalize=normalize,
             values=errors.translation_m,
         )
         caption = "The estimated path, coloured by the distance from the true place."
@@ -255,19 +244,13 @@ def paths_over_truth(
     )
 
 
-def closures_picture(
-    path: Trajectory,
-    closures: Sequence[Closure],
-    *,
-    grid: OccupancyGrid,
-    normalize: NormalizeConfig,
-) -> Picture:
+def closures_picture(path: Trajectory, closures: Sequence[Closure], grid: OccupancyGrid) -> Picture:
     """Draw a path, a dot for each closure (at least one), and a line to the pose that it implies.
 
     Times beyond the path's count as its ends.
     """
-    figure, axes = canvas.map_axes(canvas.place_extent(path.poses, grid, normalize))
-    canvas.draw_grid(axes, grid, normalize)
+    figure, axes = canvas.map_axes(canvas.place_extent(path.poses, grid))
+    canvas.draw_grid(axes, grid)
     own, used, outlier = (*colours_of((path.name, "closures")).values(), DISAGREEMENT_RGB)
     still: dict[str, Any] = {"scalex": False, "scaley": False}
     axes.plot(*path.poses[:, :2].T, color=canvas.unit_rgb(own), lw=0.8, **still)

@@ -31,6 +31,7 @@ from slamfusion.evidence.fused_path import fuse_paths, trust_in_paths
 from slamfusion.evidence.path_frames import find_modes, lay_paths
 from slamfusion.evidence.predictive import score_paths
 from slamfusion.evidence.refined_path import refine_borne_out
+from slamfusion.grid import OCCUPIED
 from slamfusion.io import LogScan, open_log, read_trajectory
 from slamfusion.jobs.cases import case_of
 from slamfusion.jobs.inputs import LogFiles
@@ -109,7 +110,7 @@ def judge(files: LogFiles, runs: Path, device: ComputeDevice) -> pd.DataFrame:
                 "hit, odd scans": odd_scores[candidate].consistency,
                 "relations m": measures.relations.translation.mean,
                 "doubled walls": doubled_wall_share(
-                    draw_map(drawn, own, device, resolution=RESOLUTION_M)
+                    draw_map(drawn, own, device, resolution=RESOLUTION_M).cells == OCCUPIED
                 ),
             }
         )

@@ -29,7 +29,7 @@ import pandas as pd
 from rich.table import Table
 
 from slamfusion.compute import ComputeDevice
-from slamfusion.config import DeviceConfig, RunConfig
+from slamfusion.config import DeviceConfig, NormalizeConfig, RunConfig
 from slamfusion.config.run import LidarName
 from slamfusion.evaluation.doubled_walls import doubled_wall_share
 from slamfusion.evaluation.map_error import compare_to_truth
@@ -52,6 +52,8 @@ from slamfusion.trajectory import Trajectory
 from tests.benchmarks.record import add_record_option, console_for
 from tests.support.datasets import ABSENT, CSAIL, DATASETS, INTEL, MEASURED
 
+# Of the cells of walls.
+THRESHOLDS = NormalizeConfig()
 BEST = {
     "mit-csail": CSAIL / "mit-csail-reference-graph.log.gz",
     "intel-2726-raw": INTEL / "intel-estimate-11439.txt.gz",
@@ -284,7 +286,9 @@ def courses(bench: Bench) -> Iterator[Row]:
             row["precision"], row["recall"] = walls.wall_precision, walls.wall_recall
             row["F1"] = walls.wall_f1
             row["off m"] = walls.map_to_truth_m.mean if walls.map_to_truth_m else np.nan
-            row["doubled %"] = 100.0 * doubled_wall_share(run.grid)
+            row["doubled %"] = 100.0 * doubled_wall_share(
+                run.grid.classified(THRESHOLDS).cells == 1
+            )
             yield row | closed(run, truth) | cost(run)
 
 
@@ -321,7 +325,9 @@ def logs(bench: Bench) -> Iterator[Row]:
             row["to corrected m"], row["farthest m"] = bench.ate(run.trajectory, corrected)
             row["online m"] = bench.ate(online(run), corrected)[0]
             row["odometry m"] = bench.ate(run.odometry if odometry else None, corrected)[0]
-            row["doubled %"] = 100.0 * doubled_wall_share(run.grid)
+            row["doubled %"] = 100.0 * doubled_wall_share(
+                run.grid.classified(THRESHOLDS).cells == 1
+            )
             yield row | cost(run)
 
 

@@ -233,25 +233,25 @@ def measure(
     else:
         lattice, there = fused
         drawn = _drawn_on(truth, _drawn_on(lattice, grid, there.inverse().compose(pose)), there)
+    drawn = drawn.classified(THRESHOLDS)
     thickness = wall_thickness(drawn)
     return Figures(
         _f1(_walls(grid, pose), _walls(truth)),
         float(np.linalg.norm((true - found).ravel())),
         math.nan if thickness is None else thickness.mean,
-        doubled_wall_share(drawn),
+        doubled_wall_share(drawn.cells == 1),
     )
 
 
 def _drawn_on(lattice: OccupancyGrid, grid: OccupancyGrid, pose: Pose2) -> OccupancyGrid:
     """Return a map on the cells of another one; pose of its frame in the other's."""
-    classes = trinary_cells(grid.cells, THRESHOLDS)
     whole = CellBox(0, 0, lattice.height, lattice.width)
-    cells = sample_on_lattice(classes, grid, lattice, whole, pose)
+    cells = sample_on_lattice(grid.classified(THRESHOLDS), lattice, whole, pose)
     return replace(lattice, cells=np.where(cells == 1, np.int8(OCCUPIED), cells))
 
 
 def _walls(grid: OccupancyGrid, pose: Pose2 = IDENTITY) -> F64:
-    return wall_centres(trinary_cells(grid.cells, THRESHOLDS), grid, pose)
+    return wall_centres(grid.classified(THRESHOLDS), pose)
 
 
 def _f1(walls: F64, true_walls: F64) -> float:
@@ -312,8 +312,7 @@ def judge_pair(
     whole = CellBox(0, 0, truth.height, truth.width)
     known = []
     for grid, pose in inputs:
-        classes = trinary_cells(grid.cells, THRESHOLDS)
-        found = sample_on_lattice(classes, grid, truth, whole, pose)
+        found = sample_on_lattice(grid.classified(THRESHOLDS), truth, whole, pose)
         known.append(scipy.ndimage.binary_closing(found != UNKNOWN, iterations=reach))
     is_common = known[0] & known[1]
     true_walls = _walls(truth)

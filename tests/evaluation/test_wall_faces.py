@@ -15,7 +15,7 @@ from slamfusion.config import NormalizeConfig
 from slamfusion.evaluation.map_error import MapError, compare_to_truth
 from slamfusion.evaluation.wall_faces import face_cells, outside_area, wall_thickness
 from slamfusion.geometry import Pose2
-from slamfusion.grid import IDENTITY, OccupancyGrid, trinary_cells
+from slamfusion.grid import IDENTITY, OccupancyGrid
 from tests.evaluation import drawings
 from tests.support.examples import examples
 
@@ -30,14 +30,13 @@ def compare(
 
 
 def outside(grid: OccupancyGrid, truth: OccupancyGrid, margin_m: float = 0.0) -> float:
-    classes = trinary_cells(grid.cells, NORMALIZE)
-    true_classes = trinary_cells(truth.cells, NORMALIZE)
-    return outside_area(classes, grid, IDENTITY, true_classes, truth, margin_m=margin_m)
+    known, true = grid.classified(NORMALIZE), truth.classified(NORMALIZE)
+    return outside_area(known, true, IDENTITY, margin_m=margin_m)
 
 
 def faces(*rows: str) -> list[str]:
     """Draw where the faces are, in the order of the rows as given."""
-    marked = face_cells(trinary_cells(draw(*rows).cells, NORMALIZE))
+    marked = face_cells(draw(*rows).classified(NORMALIZE).cells)
     return ["".join("f" if cell else "-" for cell in row) for row in marked[::-1]]
 
 
@@ -101,7 +100,7 @@ def test_thickness_is_that_across_the_wall_in_metres(cells: int) -> None:
     upright = draw("." * 30, *wall, "." * 30)
     across = OccupancyGrid(np.ascontiguousarray(upright.cells.T), 0.05)
     for grid in (upright, across):
-        found = wall_thickness(grid)
+        found = wall_thickness(grid.classified(NORMALIZE))
         assert found is not None
         # At the wall's two ends a diagonal leaves it sooner.
         assert found.median == pytest.approx(cells * 0.05)
@@ -112,7 +111,7 @@ def test_a_diagonal_wall_is_measured_along_the_other_diagonal(falls: bool) -> No
     rows, cols = np.mgrid[:40, :40]
     offset = rows - cols if falls else rows + cols - 39
     cells = np.where(np.abs(offset) <= 3, 100, 0).astype(np.int8)
-    found = wall_thickness(OccupancyGrid(cells, 0.05))
+    found = wall_thickness(OccupancyGrid(cells, 0.05).classified(NORMALIZE))
     assert found is not None
     # Seven cells along a row, 7 / sqrt(2) across: three or four steps of a diagonal.
     assert 3 * math.sqrt(2) * 0.05 <= found.median <= 4 * math.sqrt(2) * 0.05

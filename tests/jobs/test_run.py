@@ -15,7 +15,7 @@ from slamfusion.evaluation.distances import wall_centres
 from slamfusion.evidence.beams import judged_scans, scan_hits
 from slamfusion.evidence.predictive import score_paths
 from slamfusion.geometry import Pose2
-from slamfusion.grid import OccupancyGrid, trinary_cells
+from slamfusion.grid import OccupancyGrid
 from slamfusion.io import load_map, open_log, read_trajectory, save_map, write_carmen, write_tum
 from slamfusion.jobs.cases import CaseFile
 from slamfusion.jobs.fused_path import FusedPath
@@ -150,10 +150,8 @@ def assert_path_and_drawing_lie_on_the_fused_map(run: LogRun, out: Path) -> None
     assert written.wall_thickness_m is not None
     assert written.wall_thickness_m.median < 0.2
     assert drawn.resolution == run.grid.resolution
-    walls = wall_centres(trinary_cells(drawn.cells, run.made_with.config.fusion.normalize), drawn)
-    voted = wall_centres(
-        trinary_cells(run.grid.cells, run.made_with.config.fusion.normalize), run.grid
-    )
+    normalize = run.made_with.config.fusion.normalize
+    walls, voted = (wall_centres(grid.classified(normalize)) for grid in (drawn, run.grid))
     assert np.median(KDTree(voted).query(walls)[0]) < 0.06
 
 

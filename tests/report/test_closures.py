@@ -37,7 +37,7 @@ def painted(figure: Any, colour: Rgb) -> npt.NDArray[np.intp]:
 
 def picture(path: Trajectory, weight: float) -> Any:
     closure = Closure(0.0, 8.0, Pose2(3.2, 0.0, 0.0), weight)
-    return closures_picture(path, [closure], grid=GRID, normalize=NORMALIZE).figure
+    return closures_picture(path, [closure], GRID.classified(NORMALIZE)).figure
 
 
 def test_a_closure_that_holds_is_a_dot_and_one_that_does_not_a_line() -> None:
@@ -54,6 +54,6 @@ def test_an_outlier_is_told_apart() -> None:
 
 def test_the_legend_counts_outliers_and_has_the_colours_of_the_lines() -> None:
     closure = Closure(0.0, 10.0, Pose2(4.0, 0.0, 0.0), 0.2)
-    shown = closures_picture(straight(5.0), [closure], grid=GRID, normalize=NORMALIZE)
+    shown = closures_picture(straight(5.0), [closure], GRID.classified(NORMALIZE))
     assert list(shown.legend)[2] == "outliers, not used: 1"
     assert tuple(shown.legend.values())[:3] == COLOURS

@@ -10,6 +10,7 @@ import numpy as np
 from slamfusion.config import NormalizeConfig
 from slamfusion.evaluation.map_error import compare_to_truth
 from slamfusion.geometry import Pose2
+from slamfusion.grid import OccupancyGrid
 from slamfusion.palette import NAMED
 from slamfusion.report.maps import error_section, input_colours, map_statistics, pair_overlay
 from tests.report.drawn import alignment, room
@@ -18,21 +19,24 @@ NORMALIZE = NormalizeConfig()
 COLOURS = input_colours(["a", "b"])
 
 
+def shown(name: str, seed: int) -> OccupancyGrid:
+    return room(name, seed).classified(NORMALIZE)
+
+
 def test_maps_too_far_apart_to_be_drawn_have_no_overlay() -> None:
     far = replace(alignment("a", "b", accepted=False), transform=Pose2(1e5, 1e5))
-    assert pair_overlay(room("a", 1), room("b", 2), far, NORMALIZE, COLOURS) is None
+    assert pair_overlay(shown("a", 1), shown("b", 2), far, COLOURS) is None
 
 
 def test_an_unknown_map_has_no_overlay() -> None:
     unknown = replace(room("b", 2), cells=np.full((5, 5), -1, dtype=np.int8))
     found = alignment("a", "b", accepted=False)
-    assert pair_overlay(room("a", 1), unknown, found, NORMALIZE, COLOURS) is None
+    assert pair_overlay(shown("a", 1), unknown, found, COLOURS) is None
 
 
 def test_the_overlay_of_a_rejected_pair_is_marked() -> None:
-    picture = pair_overlay(
-        room("a", 1), room("b", 2), alignment("a", "b", accepted=False), NORMALIZE, COLOURS
-    )
+    found = alignment("a", "b", accepted=False)
+    picture = pair_overlay(shown("a", 1), shown("b", 2), found, COLOURS)
     assert picture is not None
     assert picture.badge == "rejected"
     assert picture.legend == COLOURS
@@ -64,5 +68,5 @@ def test_the_best_of_each_measure_is_marked() -> None:
 
 
 def test_the_statistics_state_the_known_area() -> None:
-    _, row = rows(map_statistics([room("a", 1)], NORMALIZE))
+    _, row = rows(map_statistics([shown("a", 1)]))
     assert row[3] == f'plain number">{32 * 52 * 0.05**2:.1f}'
