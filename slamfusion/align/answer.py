@@ -12,6 +12,8 @@ from slamfusion.align.decide import (
     EXPECTED_WRONG_MAX,
     GROUND_ONE_M2,
     MOST,
+    OBSERVED_M,
+    START_WRONG,
     TRIALS,
     WALLS_MIN,
     Decision,
@@ -26,16 +28,15 @@ from slamfusion.align.hypotheses import (
     Answer,
     Chances,
     best_answer,
+    best_image,
     estimate_scale,
-    mirror_gain,
     weigh,
 )
 from slamfusion.align.pair import Pair
 from slamfusion.align.records import Alignment, RunnerUp
 from slamfusion.align.refine import climbed, narrow_fits, refine
 from slamfusion.align.scores import count_met, rank
-from slamfusion.align.search import SearchResult, meeting_cells, prior_within, search
-from slamfusion.align.shifts import SearchWindow
+from slamfusion.align.search import SearchResult, meeting_cells, prior_within
 from slamfusion.config import AlignConfig
 from slamfusion.geometry import F64, Pose2, wrap_angle
 
@@ -142,18 +143,12 @@ def _decided(
     if found.coarse is None:
         return evidence, decision._replace(reason=f"{found.search}: {decision.reason}")
     if decision.accepted:
-        # Two good maps of a place that is nearly symmetric fit both ways.
-        others = np.empty((0, 3))
-        if answer.reading != "good" or evidence.expected_wrong >= EXPECTED_WRONG_MAX**4:
-            is_near = "a pose away from the start" in answer.against
-            mirrored = mirror_gain(pair, answer.motion, config, answer.reading, is_near=is_near)
-            others = answer.others
-            if answer.reading == "good":
-                answer = answer.compared_with_image(mirrored or 0.0)
-        at = answer.motion if answer.reading == "bent" else best
-        scale = estimate_scale(pair, at, answer.reading, others)
+        answer, mirrored, scale = _looked_at(pair, config, answer, chances, best, evidence)
     elif found.search == "full" and decision.kind in found.image_after:
-        mirrored = _image_gain(pair, config, answer, chances.trials)
+        image = best_image(pair, config, chances.trials)
+        if image is not None and image.is_accepted and image.wrong < answer.wrong:
+            own = max(float(weigh(pair, answer.motion[None], image.reading).total[0]), 0.0)
+            mirrored = odds(image.total / (image.total + own))
     if mirrored is not None or scale is not None:
         evidence = replace(_evidence(answer, chances, patches), mirrored=mirrored, scale=scale)
         decision = decide(evidence, statistics, rival, trials)
@@ -164,6 +159,32 @@ def _decided(
         )
         decision = decision._replace(reason=decision.reason + said)
     return evidence, decision
+
+
+def _looked_at(
+    pair: Pair,
+    config: AlignConfig,
+    answer: Answer,
+    chances: Chances,
+    best: F64,
+    evidence: MatchEvidence,
+) -> tuple[Answer, float | None, float]:
+    """Return an answer compared with its image, the evidence for that over its own, and its scale.
+
+    None: not looked for, since no two good maps of two places fit so well.
+    """
+    mirrored, others = None, np.empty((0, 3))
+    at = answer.motion if answer.reading == "bent" else best
+    if answer.reading != "good" or evidence.expected_wrong >= EXPECTED_WRONG_MAX**4:
+        # A start is evidence for an answer, and does not hold for an image.
+        is_near = "a pose away from the start" in answer.against
+        own = answer.total - (OBSERVED_M * math.log(START_WRONG) if is_near else 0.0)
+        image = best_image(pair, config, chances.trials, answer.reading)
+        mirrored, others = 0.0 if image is None else max(0.0, image.total) / own, answer.others
+        # Chance does not explain an image that is accepted itself: the place is its own image.
+        if answer.reading == "good" and image is not None and not image.is_accepted:
+            answer = answer.compared_with_image(mirrored)
+    return answer, mirrored, estimate_scale(pair, at, answer.reading, others)
 
 
 def _evidence(answer: Answer, chances: Chances, patches: float) -> MatchEvidence:
@@ -179,19 +200,6 @@ def _evidence(answer: Answer, chances: Chances, patches: float) -> MatchEvidence
         answer.ratio,
         patches * (answer.wrong if answer.weight > 0.0 else TRIALS * chances.trials),
     )
-
-
-def _image_gain(pair: Pair, config: AlignConfig, answer: Answer, trials: float) -> float | None:
-    """Return the evidence for the mirror image over that for a rejected answer, if it is better."""
-    image = pair.mirrored()
-    coarse, motions = search(image, config, SearchWindow())
-    if not len(motions):
-        return None
-    other = best_answer(image, SearchResult(motions, coarse, "full"), Chances(trials))
-    if not other.is_accepted or other.wrong >= answer.wrong:
-        return None
-    own = float(weigh(pair, answer.motion[None], other.reading).total[0])
-    return odds(other.total / (other.total + max(own, 0.0)))
 
 
 def measure(pair: Pair, motion: F64) -> dict[str, float]:

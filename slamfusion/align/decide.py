@@ -5,9 +5,10 @@ places. A right answer has no close rival. So it is compared piece by piece of w
 with **another pose**, **a shift of itself** (a corridor slides along itself), **no relation**
 between the maps, and, if it is better than these, its **mirror image** and **another scale**. ``n``
 is the number of independent pieces of equal weight that prefer the answer; of good maps without
-what the fitted motion took to agree (``lines``). The image has the same walls and is no place, so
-it fits as well as chance allows: for good maps it takes as much from ``n`` as another pose that
-fits so well.
+what the fitted motion took to agree (``lines``), and the evidence of another pose counts by the
+share that it explains, of the answer's. The image has the same walls and is no place, so it fits as
+well as chance allows: for good maps that much is taken from ``n``. An image that would be accepted
+itself is no chance: the place is nearly its own image.
 
 Two maps of a place are read in three ways; the weight of a piece depends on how well a reading
 fits:
@@ -77,8 +78,8 @@ OBSERVED_M = 0.3
 STOREYS_SHARE = 0.7
 # Half, as a limit of four shares: of the smaller map, the common ground for which TRIALS holds, and
 # above which two places are reported as alike; of the common walls, the least that maps of two
-# times explain; of the evidence, the most another pose may have without a discount. And of the odds
-# at which a piece counts as one, those of changed maps.
+# times explain; of the evidence, the most that a mirror image may have by chance and takes nothing.
+# And of the odds at which a piece counts as one, those of changed maps.
 MOST = 0.5
 # Maps whose scales differ more are rejected.
 SCALE_MAX = 0.03
@@ -206,8 +207,8 @@ def _not_beaten(
     if evidence.nearest == "its mirror image":
         return Decision(
             "different place",
-            "the maps may show two places, or one that is its own mirror image (give a start): the "
-            f"best fit explains {_share_of_walls(evidence)}, one of the image "
+            "the maps may show two places (give a start if not): the best fit explains "
+            f"{_share_of_walls(evidence)}, a chance fit of the mirror image "
             f"{evidence.mirrored:.0%} of that",
         )
     contradiction = "" if evidence.reading == "good" else f"; {_contradiction(evidence)}"

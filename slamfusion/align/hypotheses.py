@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -64,37 +63,14 @@ HIT_SHARES = np.linspace(0.01, 0.99, 50)
 # that fits a part of a map of another scale does not fit all of it.
 COARSE_SCALES, FINE_SCALES = np.linspace(-0.12, 0.12, 25), np.linspace(-0.0075, 0.0075, 7)
 SCALE_TURNS = np.radians(np.linspace(-3.0, 3.0, 13))
-
-
-class How(NamedTuple):
-    """How a reading weighs pieces of wall.
-
-    Attributes:
-        widths: of a wall, in narrow ones (``Pair.widths``).
-        sided: for good maps, see ``wall_pieces`` and ``lines``.
-        slide: how far the answer is shifted, in widths of this wall: walls in another direction
-            hold good maps in place, other maps are held by the whole place.
-    """
-
-    widths: float
-    sided: bool
-    doubt: float
-    slide: float
-
-
-READINGS: dict[Reading, How] = {
-    "good": How(1.0, True, GOOD_DOUBT, APART_WIDTHS),
-    "changed": How(1.0, False, 0.0, FARTHEST_WIDTHS),
-    "bent": How(2.0, False, 0.0, FARTHEST_WIDTHS),
-}
+# Width of a wall of each reading, in narrow ones (``Pair.widths``).
+WIDTHS: dict[Reading, float] = {"good": 1.0, "changed": 1.0, "bent": 2.0}
 
 
 def weigh(pair: Pair, motions: F64, reading: Reading, scales: F64 | None = None) -> WallPieces:
     """Return the pieces of wall for motions (P, 3) in a reading, at scales (P,)."""
-    how = READINGS[reading]
-    sigma = how.widths * pair.widths[0]
-    pieces = wall_pieces(pair, motions, sigma, scales=scales, sided=how.sided)
-    return replace(pieces, doubt=how.doubt)
+    sigma = WIDTHS[reading] * pair.widths[0]
+    return wall_pieces(pair, motions, sigma, scales=scales, sided=reading == "good")
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,8 +146,8 @@ class Answer:
         contradicts, the image of any place with right angles has half of the evidence.
         """
         lead = self.against.get("another pose", self.against["no relation"])
-        image = float(_discounted(lead, ratio))
-        return replace(self, against=self.against | {"its mirror image": image})
+        kept = min(max((1.0 - ratio) / MOST, 0.0), 1.0) if lead > 0.0 else 1.0
+        return replace(self, against=self.against | {"its mirror image": kept * lead})
 
     @property
     def is_accepted(self) -> bool:
@@ -247,23 +223,29 @@ def _answer(
     """
     total = pieces.total
     best = int(np.argmax(total if inside is None else np.where(inside, total, -np.inf)))
-    apart = APART_WIDTHS * READINGS[reading].widths * pair.widths[0]
+    apart = APART_WIDTHS * WIDTHS[reading] * pair.widths[0]
     order = np.argsort(-total, kind="stable")
     others = [int(k) for k in order if is_distinct(motions[k], motions[best], apart)]
     if inside is None and chances.start is not None:
         inside = np.array([not is_distinct(motion, chances.start) for motion in motions])
     is_near = inside is not None and bool(inside[best])
-    own = pieces.weighed[best]
-    left = pieces.left(best) if READINGS[reading].sided else 1.0
+    own, rivals, shares = pieces.weighed[best], pieces.weighed[others], pieces.share()
+    left: F64 | float = 1.0
+    if reading == "good":
+        left = pieces.left(best)
+        # Of good maps a pose that explains a smaller share is less likely than its evidence says.
+        worth = np.clip(shares[others] / max(float(shares[best]), 1e-9), 0.0, 1.0)
+        rivals = rivals * np.where(total[others] > 0.0, worth, 1.0)[:, None]
     against: dict[Hypothesis, float] = {"no relation": float(pieces.count(own, left=left))}
+    leads = pieces.count(own - rivals, left=left)
     ratios = np.clip(total[others] / max(float(total[best]), 1e-9), 0.0, 1.0)
-    leads = _discounted(pieces.count(own - pieces.weighed[others], left=left), ratios)
-    better = dict(zip(others, leads.tolist(), strict=True))
-    away = {k for k in others if is_near and inside is not None and not inside[k]}
-    if away:
-        against["a pose away from the start"] = min(better[k] for k in away)
-    if set(others) - away:
-        against["another pose"] = min(better[k] for k in others if k not in away)
+    is_away = np.full(len(others), is_near)
+    if inside is not None:
+        is_away &= ~inside[others]
+    if is_away.any():
+        against["a pose away from the start"] = float(leads[is_away].min())
+    if not is_away.all():
+        against["another pose"] = float(leads[~is_away].min())
     return Answer(
         reading,
         motions[best],
@@ -271,17 +253,11 @@ def _answer(
         against,
         float(total[best]),
         float(ratios.max(initial=0.0)),
-        float(pieces.share()[best]),
+        float(shares[best]),
         float(pieces.seen_m[best]),
         (chances.trials * (chances.prior if is_near else 1.0), chances.trials * START_WRONG),
         hit_share(pair, motions[best]) if reading == "bent" else 0.0,
     )
-
-
-def _discounted(leads: npt.ArrayLike, ratios: npt.ArrayLike) -> F64:
-    """Return leads over rivals; the less, the more of the answer's evidence a rival has."""
-    kept = np.clip((1.0 - np.asarray(ratios)) / MOST, 0.0, 1.0)
-    return np.asarray(np.where(np.asarray(leads) > 0.0, kept, 1.0) * leads)
 
 
 def is_distinct(a: F64, b: F64, cells: float = DISTINCT_CELLS) -> bool:
@@ -316,11 +292,14 @@ def _slid(pair: Pair, answer: Answer) -> Answer:
 
 
 def slides(pair: Pair, motion: F64, reading: Reading) -> F64:
-    """Return (K, 3) a motion, shifted in every direction."""
-    how = READINGS[reading]
+    """Return (K, 3) a motion, shifted in every direction.
+
+    Walls in another direction hold good maps in place; other maps are held by the whole place.
+    """
+    widths = WIDTHS[reading] * (APART_WIDTHS if reading == "good" else FARTHEST_WIDTHS)
     angles = np.arange(SLIDES) * (2.0 * math.pi / SLIDES)
     way = np.stack((np.cos(angles), np.sin(angles), np.zeros(SLIDES)), axis=1)
-    return np.asarray(motion + how.slide * how.widths * pair.widths[0] * way)
+    return np.asarray(motion + widths * pair.widths[0] * way)
 
 
 def shifts(pair: Pair, motion: F64) -> F64:
@@ -352,7 +331,7 @@ def hit_share(pair: Pair, motion: F64) -> float:
         distance2 = other.level(1).host_distance2
         met.append((other, np.bincount(distance2[at][other.grid.cells[at] >= 0], minlength=1)))
     best = []
-    for widths in (0.5, 1.0, READINGS["bent"].widths):
+    for widths in (0.5, 1.0, WIDTHS["bent"]):
         sigma = widths * pair.widths[0]
         likely = np.zeros(len(HIT_SHARES))
         for other, counts in met:
@@ -362,33 +341,35 @@ def hit_share(pair: Pair, motion: F64) -> float:
     return best[-1][1] if max(best)[0] == best[-1][0] else 0.0
 
 
-def mirror_gain(
-    pair: Pair,
-    motion: F64,
-    config: AlignConfig,
-    reading: Reading = "changed",
-    *,
-    is_near: bool = False,
-) -> float | None:
-    """Return the evidence for the best fit of the moving map's image over that for a motion.
+def best_image(
+    pair: Pair, config: AlignConfig, trials: float, reading: Reading | None = None
+) -> Answer | None:
+    """Return the best fit of the moving map's image, compared with others as an answer is.
 
-    Args:
-        config: settings of the search, which covers all poses, since a start does not hold for an
-            image.
-        is_near: the motion is near a start, which is evidence for it.
+    In one reading or, None, in any. The search covers all poses, since a start does not hold for an
+    image. None: no fit.
+    """
+    image = pair.mirrored()
+    coarse, motions = search(image, config, SearchWindow())
+    if not len(motions):
+        return None
+    if reading is None:
+        return best_answer(image, SearchResult(motions, coarse, "full"), Chances(trials))
+    pieces = weigh(image, motions, reading)
+    return _slid(image, _answer(image, motions, reading, pieces, None, Chances(trials)))
+
+
+def mirror_gain(pair: Pair, motion: F64, config: AlignConfig) -> float | None:
+    """Return the evidence for the moving map's image over that for a motion, of maps of two times.
 
     Returns:
         None where the motion has no evidence.
     """
-    own = float(weigh(pair, motion[None], reading).total[0])
+    own = float(weigh(pair, motion[None], "changed").total[0])
     if own <= 0.0:
         return None
-    own -= OBSERVED_M * math.log(START_WRONG) if is_near else 0.0
-    image = pair.mirrored()
-    _, motions = search(image, config, SearchWindow())
-    if not len(motions):
-        return 0.0
-    return max(0.0, float(weigh(image, motions, reading).total.max())) / own
+    image = best_image(pair, config, 1.0, "changed")
+    return 0.0 if image is None else max(0.0, image.total) / own
 
 
 def estimate_scale(pair: Pair, motion: F64, reading: Reading, others: F64) -> float:
@@ -419,13 +400,13 @@ def estimate_scale(pair: Pair, motion: F64, reading: Reading, others: F64) -> fl
 def _scaled(pair: Pair, motion: F64, reading: Reading) -> tuple[F64, float, float]:
     """Return a motion (3,) at its best scale, the scale, and the extent of its common walls."""
     narrow = pair.widths[0]
-    wide = READINGS[reading].widths * narrow
+    wide = WIDTHS[reading] * narrow
     walls = common_walls(pair, motion, wide)
     if not len(walls):
         return motion, 1.0, 0.0
     middle, reach = walls.mean(axis=0), math.sqrt(float(walls.var(axis=0).sum()))
     # A good map fits as a whole at the right scale; others may fit in part.
-    far = 1.0 if READINGS[reading].sided else APART_WIDTHS
+    far = 1.0 if reading == "good" else APART_WIDTHS
     steps = np.arange(-far, far + 1.0)
     scale, at = 1.0, motion
     for offsets, turns, sigma in (

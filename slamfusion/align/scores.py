@@ -121,8 +121,9 @@ def wall_pieces(
         motions: (P, 3) where the moving centre lands, cells, and yaw.
         sigma: width of a wall in cells.
         scales: (P,) enlarge the moving map about its centre; None: 1.
-        sided: for good maps: a wall seen from another side is another wall, and unknown ground
-            lowers no share. Bent or old maps are too inaccurate for that.
+        sided: for good maps: a wall seen from another side is another wall, unknown ground lowers
+            no share, and what stays unexplained contradicts. Bent or old maps are too inaccurate
+            for that.
     """
     sides = list(pair.sides(motions, scales=scales))
     found = _pieces(pair, sides, sigma, PIECE_POINTS, sided=sided)
@@ -135,6 +136,7 @@ def wall_pieces(
         np.concatenate(share_most, axis=1),
         np.asarray(seen_m[0] + seen_m[1]),
         (lines, others),
+        GOOD_DOUBT if sided else 0.0,
     )
 
 

@@ -51,7 +51,7 @@ KINDS: tuple[tuple[dict[str, Any], DecisionKind, str], ...] = (
     (
         EVEN | {"nearest": "its mirror image", "mirrored": 0.8},
         "different place",
-        "one of the image 80% of that",
+        "a chance fit of the mirror image 80% of that",
     ),
     ({"mirrored": 2.0}, "mirrored", "fits its mirror image as well or better, 2.0 times"),
     ({"scale": 1.1}, "other scale", "differ in scale by 10.0%: is a resolution wrong?"),

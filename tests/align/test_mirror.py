@@ -17,6 +17,7 @@ from slamfusion.config import AlignConfig
 from slamfusion.grid import UNKNOWN, OccupancyGrid
 from tests.fusion.drawings import building, features_of
 from tests.fusion.live.maps import mirrored, transposed, trio
+from tests.support.overlap import simulated
 
 # About searches, not about NumPy: one leg is enough.
 pytestmark = pytest.mark.once
@@ -85,6 +86,19 @@ def test_what_is_refused_is_named_if_its_image_would_be_believed(device: Compute
     )
     assert not unnamed.accepted
     assert unnamed.decision != "mirrored"
+
+
+def test_a_place_that_is_nearly_its_own_image_is_accepted(device: ComputeDevice) -> None:
+    """A corridor whose doors are nearly symmetric; chance does not explain its image."""
+    name = "simulated, 20%: sim/office/72100 y high to sim/office/72100 y low"
+    (case,) = (draft.draw() for draft in simulated(0) if draft.name == name)
+    assert case is not None
+    found = aligned(case.reference, case.moving, device)
+    assert found.accepted, found.reason
+    assert case.is_right(found.transform)
+    assert found.evidence is not None
+    assert found.evidence.mirrored is not None
+    assert 0.9 < found.evidence.mirrored < 1.0
 
 
 def test_another_building_is_no_mirror_image(device: ComputeDevice) -> None:
