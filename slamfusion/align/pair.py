@@ -70,9 +70,12 @@ def distinct(
         some, left = left[:TOGETHER], left[TOGETHER:]
         is_far = _are_apart(motions[some], motions[some], shift, turn)
         chosen: list[int] = []
-        for k in range(len(some)):
-            if is_far[k, chosen].all() and (most is None or len(kept) + len(chosen) < most):
-                chosen.append(k)
+        is_free = np.ones(len(some), dtype=np.bool_)
+        while is_free.any() and (most is None or len(kept) + len(chosen) < most):
+            best = int(is_free.argmax())
+            chosen.append(best)
+            is_free &= is_far[best]
+            is_free[best] = False
         kept += some[chosen].tolist()
         left = left[_are_apart(motions[left], motions[some[chosen]], shift, turn).all(axis=1)]
     return np.array(kept, dtype=np.intp)
@@ -80,9 +83,10 @@ def distinct(
 
 def _are_apart(a: F64, b: F64, shift: float, turn: float) -> npt.NDArray[np.bool_]:
     """Return (A, B) whether motions are farther from each other than shift or turn."""
-    x, y, yaw = (a[:, None, k] - b[None, :, k] for k in range(3))
-    turned = np.mod(yaw + math.pi, 2.0 * math.pi) - math.pi
-    return np.asarray((np.hypot(x, y) >= shift) | (np.abs(turned) >= turn))
+    x, y = (a[:, None, k] - b[:, k] for k in range(2))
+    turned = np.abs(np.mod(a[:, None, 2], 2.0 * math.pi) - np.mod(b[:, 2], 2.0 * math.pi))
+    is_turned = np.minimum(turned, 2.0 * math.pi - turned) >= turn
+    return np.asarray((x * x + y * y >= shift * shift) | is_turned)
 
 
 # Widths of a wall at full resolution, metres, and the minimum in cells: the narrow one for maps

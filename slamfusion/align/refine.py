@@ -75,32 +75,35 @@ def refine(
     centre_mov = (pair.moving.centre[0] / step, pair.moving.centre[1] / step)
     (height, width), mov_shape = (level.shape for level in levels)
     pivot, reach = (width / 2.0, height / 2.0), math.hypot(*mov_shape) / 2.0
-    local = motions / np.array([step, step, 1.0])
+    damping = np.array([1e-3, 1e-3, 1e-3 * (reach * reach)])
+    local = (motions / np.array([step, step, 1.0])).T
     for scale in scales:
-        widths = np.broadcast_to(np.asarray(scale, dtype=np.float64), len(local))
-        moves = np.arange(len(local))
+        moves, widths = np.arange(len(motions)), np.broadcast_to(scale, len(motions))
         for _ in range(iterations):
-            there, back = both_ways(local[moves], centre_mov)
-            given = np.array((*there, *back, widths[moves]), dtype=np.float32)
+            x, y, yaw = at = local[:, moves]
+            there, back = both_ways(at.T, centre_mov)
+            given = np.array((*there, *back, widths), dtype=np.float32)
             terms = pair.device.refine_terms(*sides, given, pivot)
             # The damped Gauss-Newton step of each pose, no longer than its scale.
             h = terms.take(SYMMETRIC, axis=1)
-            h[:, DIAGONAL] += np.maximum(terms[:, 9:], 1.0) * (1e-3, 1e-3, 1e-3 * (reach * reach))
+            h[:, DIAGONAL] += np.maximum(terms[:, 9:], 1.0) * damping
             back_step = np.linalg.solve(h.reshape(-1, 3, 3), terms[:, 6:9, None])[:, :, 0]
-            change: F64 = np.asarray(-back_step)
-            shift, turn = np.hypot(change[:, 0], change[:, 1]), np.abs(change[:, 2]) * reach
-            length = shift / widths[moves] + turn / widths[moves]
-            change /= np.maximum(1.0, length)[:, None]
+            change: F64 = np.asarray(-back_step.T)
+            length = np.hypot(*change[:2]) / widths + np.abs(change[2]) * reach / widths
+            change /= np.maximum(1.0, length)
+            dx, dy, turn = change
             # About the pivot, after the motions.
-            cos, sin = np.cos(change[:, 2]), np.sin(change[:, 2])
-            x, y = (local[moves, :2] - pivot).T
-            local[moves, 0] = cos * x - sin * y + pivot[0] + change[:, 0]
-            local[moves, 1] = sin * x + cos * y + pivot[1] + change[:, 1]
-            local[moves, 2] += change[:, 2]
-            moves = moves[(np.abs(change) * (1.0, 1.0, reach) >= SETTLED_CELLS).any(axis=1)]
+            cos, sin = np.cos(turn), np.sin(turn)
+            x, y = x - pivot[0], y - pivot[1]
+            local[:, moves] = (
+                cos * x - sin * y + pivot[0] + dx, sin * x + cos * y + pivot[1] + dy, yaw + turn,
+            )  # fmt: skip
+            change[2] *= reach
+            still = (np.abs(change) >= SETTLED_CELLS).any(axis=0)
+            moves, widths = moves[still], widths[still]
             if not len(moves):
                 break
-    return np.asarray(local * np.array([step, step, 1.0]))
+    return np.asarray(local.T * np.array([step, step, 1.0]))
 
 
 def settle(pair: Pair, motions: F64) -> F64:

@@ -179,7 +179,7 @@ class FieldDevice(ArrayDevice):
             base: worth of a cell that says nothing.
         """
         if self.opencl:
-            worths = self.opencl.table(hit.astype(np.uint32) | miss.astype(np.uint32) << 16)
+            worths = self.upload(hit.astype(np.uint32) | miss.astype(np.uint32) << 16)
             return self.opencl.launch_new(
                 distance2.shape, np.uint8, "score_field", (-(-distance2.size // RUN),), distance2,
                 free_share, worths, base, distance2.size,

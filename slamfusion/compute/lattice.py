@@ -94,17 +94,16 @@ def narrow_motions(points: PointPlanes, motions: F64) -> tuple[F64, int]:
     moved = motions.copy()
     moved[2] += moved[0] * points.middle[0] - moved[1] * points.middle[1]
     moved[3] += moved[1] * points.middle[0] + moved[0] * points.middle[1]
-    farthest = _largest(moved[:2]) * points.reach + _largest(moved[2:4]) + 2 * _largest(moved[4:])
+    # The greatest of turn, shift and step.
+    rows = np.abs(moved).max(axis=1, initial=0.0)
+    turn, shift, *step = (int(most) for most in np.maximum(rows[::2], rows[1::2]))
+    farthest = turn * points.reach + shift + 2 * sum(step)
     return moved, max(1, (farthest // NARROW_LIMIT).bit_length())
 
 
 def narrowed(moved: F64, drop: int) -> I32:
     """Return numbers in Q30, rounded to what 32 bits hold of them."""
     return np.floor(moved * 0.5**drop + 0.5).astype(np.int32)
-
-
-def _largest(values: F64) -> int:
-    return int(max(values.max(initial=0.0), -values.min(initial=0.0)))
 
 
 def shift_spans(rows: I32, cols: I32, boxes: I32) -> I32:
