@@ -2,7 +2,6 @@
 
     python -m tests.benchmarks.bench_overlap --processes 2 --jsonl out/overlap.jsonl
     python -m tests.benchmarks.bench_overlap --limit 3 --only one-map --only cross-slam
-    python -m tests.benchmarks.bench_overlap --from out/overlap.jsonl
 
 Of pairs with a right answer each cell of the table counts: accepted and right / accepted and wrong
 / rejected, though the best candidate is right / rejected and not found, of how many. A second table
@@ -287,11 +286,6 @@ def line_of(result: Result) -> str:
     return json.dumps(_finite(asdict(result)), allow_nan=False)
 
 
-def load_results(path: Path) -> list[Result]:
-    """Return the results that ``--jsonl`` wrote."""
-    return [Result(**json.loads(line)) for line in path.read_text(encoding="utf-8").splitlines()]
-
-
 def _finite(value: Any) -> Any:
     if isinstance(value, dict):
         return {key: _finite(item) for key, item in value.items()}
@@ -312,20 +306,8 @@ def main() -> None:
     parser.add_argument("--jsonl", type=Path, help="file for one line a pair")
     parser.add_argument("--processes", type=int, default=1)
     parser.add_argument("--device", default="auto")
-    parser.add_argument(
-        "--from",
-        dest="kept",
-        type=Path,
-        metavar="JSONL",
-        help="align nothing: print the tables of what --jsonl wrote",
-    )
     add_record_option(parser)
     arguments = parser.parse_args()
-    if arguments.kept:
-        if arguments.record:
-            parser.error("kept results do not say at which commit they were made: no --record")
-        print_all(load_results(arguments.kept), Console(width=160))
-        return
     names = arguments.only or tuple(SETS)
     if not MAPS.is_dir() and set(names) != {"simulated"}:
         parser.error(ABSENT + ", or ask for --only simulated")

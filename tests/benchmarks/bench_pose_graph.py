@@ -18,23 +18,6 @@ and information of another closure (shuffled) or with a random motion. How far t
 the clean one is the root mean square distance after the best rigid motion, as a share of the
 diagonal of the clean one's box; chi-square is that of the true edges against the clean one's.
 
-What was tried, and why ``consensus`` is the default: dynamic covariance scaling starts from a graph
-that the false closures have already bent, and often ends in another minimum. From the odometry,
-graduated non-convexity is good where odometry is, and with what agrees with the graph let in
-afterwards also where that is worse (MIT); on a long and noisy path (M3500) it is not, and every
-false closure makes the factor denser: city10000 with 3200 of them does not finish. Closures
-that bear each other out are nearly all true, with no optimisation at all. Letting in the rest by
-the uncertainty of the graph so far, best first, then separates the two by orders of magnitude (MIT:
-true ones at 4, false ones above 80, limit 16).
-
-Where the uncertainty is as large as the map, agreement tells little. On ais2klinik (200 m and 100
-degrees on a way with no other closure) a false closure agreed at 0.65 of 1.05 and bent the map by
-7.8 %; true ones agreed at up to 1.5. What tells them apart is the share of all motions within the
-map that would agree as well: 0.019 there, with 161 false ones around; at most 0.0002 for the true
-closures of all these graphs when they were let in (10 and 30 % added). Asking this also of closures
-that others bear out was worse: on MIT with as many false ones as true, four true ones that would
-have let each other in each had to wait.
-
 ``online``: the same graphs pose by pose, as a SLAM meets them: poses are put along the odometry,
 and every 20 of them, if there are new closures, the graph is solved from where it is and with the
 last verdict (``optimize(start="given", weights=...)``). CPU time of one such solution.

@@ -10,11 +10,10 @@
 
 from __future__ import annotations
 
-import json
 import math
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import astuple, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -24,18 +23,17 @@ import scipy
 
 from slamfusion.compute import ComputeDevice, open_device
 from slamfusion.config import ExperimentConfig, FailuresConfig, NormalizeConfig, RunConfig
-from slamfusion.experiments.fusions import against_truth, produce_maps
-from slamfusion.experiments.trials import FAULTS as DRIVE_FAULTS
+from slamfusion.experiments.fusions import against_truth
 from slamfusion.experiments.trials import Trial, failure_trials
 from slamfusion.geometry import Pose2
 from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, CellBox, OccupancyGrid, trinary_cells
-from slamfusion.io import save_map
 from slamfusion.io.map_server import load_map
-from slamfusion.sim import named_course, simulate, thin_walls
+from slamfusion.sim import named_course, thin_walls
 from slamfusion.sim.worlds import draw_floor
 from slamfusion.slam.registry import BUILT_IN
 from tests.support.datasets import DATASETS, MAPS
 from tests.support.degrade import Degradation, degrade_map
+from tests.support.evidence_drives import make_drive
 
 I8 = npt.NDArray[np.int8]
 
@@ -314,35 +312,16 @@ def _failures(seed: int, cache: Path) -> Iterator[Named]:
     config = RunConfig(seed=seed, experiment=settings)
     for trial in failure_trials(config):
         name = f"failures {trial.condition}, seed {seed}"
-        yield name, partial(_drive, name, trial, config, cache / trial.key)
+        yield name, partial(_drive, name, trial, cache)
 
 
-def _drive(name: str, trial: Trial, config: RunConfig, folder: Path) -> Case:
+def _drive(name: str, trial: Trial, cache: Path) -> Case:
     """Return the maps of a drive; they are made where none are kept."""
-    if not (folder / "poses.json").is_file():
-        _make_drive(trial, config, open_device(), folder)
-    poses = json.loads((folder / "poses.json").read_text(encoding="utf-8"))
-    grids = tuple(load_map(folder / f"{name}.yaml") for name in poses)
-    truths = {
-        "thin": load_map(folder / "truth_thin.yaml"),
-        "solid": load_map(folder / "truth.yaml"),
-    }
-    own = {name: Pose2(*pose) for name, pose in poses.items()}
-    return Case(name, grids, truths, own, shared_frame=True)
-
-
-def _make_drive(trial: Trial, config: RunConfig, device: ComputeDevice, folder: Path) -> None:
-    """Drive, run the three SLAMs, and save their maps as a user has them, with the true maps."""
-    recording = simulate(trial.course, device)
-    faulty = DRIVE_FAULTS[trial.fault](recording.scans) if trial.fault else recording.scans
-    fed = {name: faulty if trial.harmed in {"", name} else recording.scans for name in BUILT_IN}
-    truth = recording.world.grid
-    save_map(truth, folder / "truth")
-    save_map(thin_walls(truth), folder / "truth_thin")
-    poses = {}
-    made = produce_maps(fed, config, device).maps.values()
-    for grid in (grid for grid in made if grid is not None):
-        save_map(grid, folder / grid.name, classes=config.fusion.normalize)
-        pose = _pose_in_truth(grid, truth, device, same_heading=True)
-        poses[grid.name] = astuple(pose)
-    (folder / "poses.json").write_text(json.dumps(poses), encoding="utf-8")
+    device = open_device()
+    folder = make_drive(trial, cache, device)
+    truth = load_map(folder / "truth.yaml")
+    files = [folder / f"{producer}.yaml" for producer in BUILT_IN]
+    grids = tuple(load_map(file) for file in files if file.exists())
+    truths = {"thin": thin_walls(truth), "solid": truth}
+    poses = {grid.name: _pose_in_truth(grid, truth, device, same_heading=True) for grid in grids}
+    return Case(name, grids, truths, poses, shared_frame=True)

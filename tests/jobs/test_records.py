@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import copy
 import json
-from collections.abc import Callable
 from typing import Any
 
 import click
@@ -105,43 +103,6 @@ def test_a_missing_key_is_refused(key: str) -> None:
         check_document(document, "align")
     with pytest.raises(ValidationError):
         Draft202012Validator(load_schema()).validate(document)
-
-
-def put(*path: str | int, value: Any) -> Callable[[dict[str, Any]], None]:
-    """A change of one value of a document."""
-
-    def change(document: Any) -> None:
-        for step in path[:-1]:
-            document = document[step]
-        document[path[-1]] = value
-
-    return change
-
-
-@pytest.mark.parametrize(
-    "change",
-    [
-        put("accepted", value="yes"),
-        put("dx_m", value=None),
-        put("score", value="0.9"),
-        put("seed", value=0.5),
-        put("name", value=7),
-        put("runner_up", value=[]),
-        put("runner_up", "ratio", value=None),
-        put("statistics", "z", value="9"),
-        put("versions", "numpy", value=2.0),
-        put("config", value=[]),
-        put("colour", value="red"),
-        put("runner_up", "colour", value="red"),
-    ],
-)
-def test_a_wrong_type_and_an_unknown_key_are_refused(
-    change: Callable[[dict[str, Any]], None],
-) -> None:
-    document = copy.deepcopy(aligned())
-    change(document)
-    with pytest.raises(AssertionError):
-        check_document(document, "align")
 
 
 def test_an_error_alone_is_for_a_failure() -> None:
