@@ -22,7 +22,7 @@ from slamfusion.errors import GridError
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid, trinary_cells
 from slamfusion.vote.lattice import Extent, Lattice
-from tests.fusion.drawings import draw, padded, picture_of, random_grid
+from tests.fusion.drawings import draw, picture_of, random_grid
 from tests.support.examples import examples
 
 DEFAULTS = NormalizeConfig()
@@ -156,16 +156,6 @@ def test_specks_count_as_cells_but_not_as_walls_to_align(device: ComputeDevice) 
     assert normal.solid[2, 5:7].tolist() == [0, 0], "two wall cells with seven each"
     assert normal.solid[0].all()
     assert normal.solid[:, 0].all()
-
-
-def test_unknown_margins_change_nothing(device: ComputeDevice) -> None:
-    grid = OccupancyGrid(random_grid(2).cells, 0.1, TURNED)
-    plain = normalize_grid(grid, 0.1, DEFAULTS, device)
-    grown = normalize_grid(padded(grid, 3, 40, 17, 1), 0.1, DEFAULTS, device)
-    assert np.array_equal(plain.cells, grown.cells)
-    assert np.array_equal(plain.solid, grown.solid)
-    a, b = plain.grid.origin, grown.grid.origin
-    assert (a.x, a.y, a.yaw_rad) == pytest.approx((b.x, b.y, b.yaw_rad), abs=1e-9)
 
 
 def test_the_area_outside_counts_known_cells_alone() -> None:

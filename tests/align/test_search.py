@@ -128,15 +128,6 @@ def test_answers_lie_inside_the_window(device: ComputeDevice) -> None:
     assert np.abs(motions[:, 2] - 0.3).max(initial=0.0) <= 0.2 + math.radians(1.0)
 
 
-def test_the_twins_find_the_same_answer(device: ComputeDevice, twins: ComputeDevice) -> None:
-    answers = []
-    for on_device in (device, twins):
-        grid = features_of(random_grid(45, 24, 30), on_device)
-        window = SearchWindow((*grid.centre, 0.0), 6.0, 0.3)
-        answers.append(search(Pair(grid, grid), CONFIG, window)[1][0])
-    assert np.allclose(*answers, atol=1e-3)
-
-
 @pytest.mark.parametrize("cells", [72, 28])
 @pytest.mark.parametrize("seed", range(6))
 def test_a_motion_with_an_overlap_of_a_third_is_found(

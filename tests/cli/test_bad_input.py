@@ -7,8 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from slamfusion.io import load_map, save_map
-from tests.cli.command import MAPS, TRUTH, assert_one_line_failure, json_of, run
+from tests.cli.command import MAPS, TRUTH, assert_one_line_failure, run
 
 pytestmark = pytest.mark.once
 
@@ -61,22 +60,6 @@ def test_cell_sizes_that_differ_too_much_are_refused(
     done = run(command, *arguments[command], "--device", "numpy", limits=limits)
     assert_one_line_failure(done, *words)
     assert not (tmp_path / "out.yaml").exists()
-
-
-def test_unknown_that_reads_as_free_is_told_and_mended(tmp_path: Path) -> None:
-    grid = load_map(MAPS[0])
-    yaml_path, _ = save_map(grid, tmp_path / "map")
-    text = yaml_path.read_text(encoding="utf-8").replace("0.196", "0.25")
-    yaml_path.write_text(text, encoding="utf-8")
-    unknown = int((grid.cells == -1).sum())
-    options = ("evaluate", yaml_path, "--truth", MAPS[0], "--no-align", "--json")
-    told, mended = run(*options), run(*options, "--legacy-unknown")
-    assert told.returncode == mended.returncode == 0
-    assert f"map.yaml: {unknown} cells of grey 205" in told.stderr
-    assert len(told.stderr.splitlines()) == 1
-    assert json_of(told)["maps"][0]["error"] > 0.0
-    assert mended.stderr == ""
-    assert json_of(mended)["maps"][0]["error"] == 0.0
 
 
 def test_control_characters_in_a_name_stay_on_one_line(tmp_path: Path) -> None:

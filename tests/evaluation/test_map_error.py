@@ -46,17 +46,6 @@ def test_error_counts_each_pair_of_classes() -> None:
     assert compare(found, truth).error == pytest.approx(math.sqrt(7))
 
 
-def test_error_of_a_map_with_itself_is_zero_and_every_measure_perfect() -> None:
-    grid = draw("###?", "#..?", "#..#")
-    result = compare(grid, grid, tolerance_m=0.0)
-    assert result.error == 0.0
-    assert result.wall_precision == result.wall_recall == result.wall_f1 == 1.0
-    assert result.iou_occupied == result.iou_free == result.coverage == 1.0
-    assert result.ssim == pytest.approx(1.0)
-    assert result.map_to_truth_m is not None
-    assert result.map_to_truth_m.max == 0.0
-
-
 def test_error_is_summed_over_the_known_box_of_the_truth_only() -> None:
     truth = draw("?????", "?#.??", "?..??", "?????")
     found = draw("#####", "##.##", "#..##", "#####")

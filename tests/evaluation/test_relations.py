@@ -209,14 +209,6 @@ def test_a_file_without_relations_is_refused(tmp_path: Path, content: bytes) -> 
         read_relations(path)
 
 
-def test_a_packed_file_that_ends_early_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "cut.relations.gz"
-    lines = "".join(f"{index} {index + 1} 0.{index} 0 0 0 0 0\n" for index in range(5000))
-    path.write_bytes(gzip.compress(lines.encode())[:-200])
-    with pytest.raises(TrajectoryError, match=r"line \d+: the packed file ends early"):
-        read_relations(path)
-
-
 @pytest.mark.datasets
 @pytest.mark.skipif(not CSAIL.is_dir(), reason=ABSENT)
 @pytest.mark.parametrize(

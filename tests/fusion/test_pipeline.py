@@ -17,18 +17,9 @@ from slamfusion.errors import AlignmentError, ConfigError, MemoryBudgetError
 from slamfusion.fusion import fuse_grids
 from slamfusion.fusion.pipeline import vote_again
 from slamfusion.geometry import Pose2, wrap_angle
-from slamfusion.grid import ORIGIN_MOST_M, CellBox, OccupancyGrid
+from slamfusion.grid import CellBox, OccupancyGrid
 from slamfusion.io import files
-from tests.fusion.drawings import (
-    assert_right,
-    building,
-    degraded,
-    draw,
-    fusion_config,
-    padded,
-    with_origin,
-)
-from tests.support.searches import RememberedSearches
+from tests.fusion.drawings import assert_right, building, degraded, draw, fusion_config, padded
 
 pytestmark = pytest.mark.usefixtures("remembered_searches")
 
@@ -96,19 +87,6 @@ def assert_same_world(a: OccupancyGrid, b: OccupancyGrid) -> None:
     corner = np.array([one.origin.x - other.origin.x, one.origin.y - other.origin.y])
     assert np.abs(corner).max() < 1e-6
     assert abs(math.sin(one.origin.yaw_rad - other.origin.yaw_rad)) < 1e-9
-
-
-@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.full)])
-def test_three_faulty_maps_of_one_place_all_vote(device: ComputeDevice, seed: int) -> None:
-    grids, poses = three(seed)
-    result = fuse_grids(grids, QUICK, device)
-    assert [record.name for record in result.accepted] == ["a", "b", "c"]
-    assert result.phantom_cells == 0
-    base = poses["abc".index(result.reference)]
-    for record, pose in zip(result.inputs, poses, strict=True):
-        assert record.alignment is not None
-        wanted = base.inverse().compose(pose)
-        assert_right(record.alignment, record.grid, wanted)
 
 
 @pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.full)])
@@ -211,19 +189,6 @@ def test_maps_without_known_cells_are_named(device: ComputeDevice) -> None:
         fuse_grids(blank, QUICK, device)
 
 
-def test_a_single_map_is_its_own_fusion(device: ComputeDevice) -> None:
-    grid = padded(with_origin(place().with_name("only"), Pose2(1.0, 2.0, 0.4)), 5, 0, 7, 3)
-    result = fuse_grids([grid], QUICK, device)
-    assert_same_world(result.fused, grid)
-    assert result.reference == "only"
-    assert result.pairs == ()
-    (record,) = result.inputs
-    assert record.accepted
-    assert record.alignment is not None
-    assert record.alignment.transform == Pose2()
-    assert not np.any(record.dissent)
-
-
 def test_an_unknown_map_among_three_is_named_and_the_others_fused(device: ComputeDevice) -> None:
     grids, _ = three()
     result = fuse_grids([draw(" ?\n  ", name="fog"), *grids[:2]], QUICK, device)
@@ -246,16 +211,6 @@ def test_names_given_twice_are_refused(device: ComputeDevice) -> None:
         fuse_grids([grids[0], grids[1], grids[2].with_name("a")], QUICK, device)
 
 
-def test_order_of_the_inputs_does_not_change_the_fused_map(device: ComputeDevice) -> None:
-    grids, _ = three()
-    config = replace(QUICK, reference="a")
-    wanted = fuse_grids(grids, config, device)
-    for order in itertools.permutations(grids):
-        result = fuse_grids(order, config, device)
-        assert result.reference == wanted.reference
-        assert np.array_equal(result.fused.cells, wanted.fused.cells)
-
-
 @pytest.mark.parametrize("order", [("part", "whole"), ("whole", "part")])
 def test_nothing_that_one_map_knows_is_lost_by_default(
     device: ComputeDevice, order: tuple[str, str]
@@ -275,19 +230,6 @@ def test_nothing_that_one_map_knows_is_lost_by_default(
     assert result.left_out_m2 == pytest.approx({"whole": outside})
 
 
-def test_same_input_same_fused_map(
-    device: ComputeDevice, remembered_searches: RememberedSearches
-) -> None:
-    grids, _ = three()
-    first = fuse_grids(grids, QUICK, device)
-    remembered_searches.forget()
-    made = remembered_searches.made
-    second = fuse_grids(grids, QUICK, device)
-    assert remembered_searches.made > made
-    assert first.fused.cells.tobytes() == second.fused.cells.tobytes()
-    assert first.fused.origin == second.fused.origin
-
-
 @pytest.mark.parametrize("which", [1])
 def test_cropping_unknown_margins_moves_no_fused_cell(device: ComputeDevice, which: int) -> None:
     grids = [padded(grid, 9, 4, 13, 22) for grid in three()[0]]
@@ -297,20 +239,6 @@ def test_cropping_unknown_margins_moves_no_fused_cell(device: ComputeDevice, whi
     cropped = [g.crop(box) if k == which else g for k, g in enumerate(grids)]
     wanted, result = (fuse_grids(some, config, device) for some in (grids, cropped))
     assert_same_world(result.fused, wanted.fused)
-
-
-@pytest.mark.parametrize("place_m", [(-ORIGIN_MOST_M, ORIGIN_MOST_M)])
-def test_maps_as_far_from_zero_as_may_be_fuse_as_near_it(
-    device: ComputeDevice, place_m: tuple[float, float]
-) -> None:
-    grids, _ = three()
-    wanted = fuse_grids(grids, QUICK, device)
-    there = Pose2(*place_m)
-    moved = [with_origin(grid, there.compose(grid.origin)) for grid in grids]
-    result = fuse_grids(moved, QUICK, device)
-    assert np.array_equal(result.fused.cells, wanted.fused.cells)
-    assert result.fused.origin.x - there.x == pytest.approx(wanted.fused.origin.x, abs=1e-6)
-    assert result.fused.origin.y - there.y == pytest.approx(wanted.fused.origin.y, abs=1e-6)
 
 
 def test_union_and_reference_share_one_lattice(device: ComputeDevice) -> None:
@@ -336,28 +264,6 @@ def test_union_and_reference_share_one_lattice(device: ComputeDevice) -> None:
     same = outer.cells[row : row + inner.height, col : col + inner.width]
     assert np.array_equal(same, inner.cells)
     assert_same_world(outer, truth)
-
-
-@pytest.mark.parametrize(
-    ("mode", "unknown", "extent"),
-    [
-        ("majority", "auto", "union"),
-        ("majority", "value", "reference"),
-        ("majority", "abstain", "union"),
-        ("consensus", "auto", "reference"),
-    ],
-)
-def test_every_mode_fuses(device: ComputeDevice, mode: str, unknown: str, extent: str) -> None:
-    grids, poses = three()
-    config = replace(QUICK, vote=VoteConfig(mode, unknown, extent))
-    result = fuse_grids(grids, config, device)
-    assert len(result.accepted) == 3
-    error = truth_error(result.fused, place(), poses["abc".index(result.reference)])
-    assert error < 0.3
-    if unknown == "auto":
-        assert result.phantom_cells == 0
-    assert max(result.weights.values()) == 1.0
-    assert min(result.weights.values()) > 0.0
 
 
 def test_a_name_or_an_index_chooses_the_reference(device: ComputeDevice) -> None:

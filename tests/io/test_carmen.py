@@ -202,16 +202,6 @@ def test_zero_and_negative_readings_measured_nothing(tmp_path: Path) -> None:
 # --- time ----------------------------------------------------------------------------------------
 
 
-def test_one_stray_stamp_does_not_break_the_others(tmp_path: Path) -> None:
-    stamps_s = [100.0 + 0.1 * index for index in range(60)]
-    lines = [flaser(f"{stamp_s + 3600.0 * (k == 20):.1f}") for k, stamp_s in enumerate(stamps_s)]
-    log = CarmenLog(write_lines(tmp_path / "a.log", *lines))
-    assert log.has_stamps
-    found = [item.scan.stamp_s for item in log]
-    assert found == pytest.approx(stamps_s[:20] + stamps_s[21:])
-    assert log.skips.lines == {"a time stamp far ahead of those before and after it": [21]}
-
-
 @pytest.mark.parametrize(
     "stamps",
     [[0] * 12, ["1.13486e+09"] * 12, [4294970000.0] * 12, [*range(90), *([5] * 10)]],
@@ -225,29 +215,6 @@ def test_broken_stamps_give_index_time_and_say_so(tmp_path: Path, stamps: list[o
     assert skips.total == 0
     assert not log.has_stamps
     assert any("index times 0.25 s" in note for note in log.notes)
-
-
-def test_few_scans_out_of_time_are_counted_skips(tmp_path: Path) -> None:
-    log = log_of(tmp_path, *map(flaser, [1, 2, 2, 1.5, 3]))
-    scans, skips = read(log)
-    assert [scan.scan.stamp_s for scan in scans] == [1.0, 2.0, 3.0]
-    assert skips.sentences() == (
-        "1 x time goes back (line 4)",
-        "1 x two scans of one stamp (line 3)",
-    )
-    assert log.has_stamps
-
-
-def test_a_gap_of_an_hour_and_a_jump_of_50_m_are_kept_and_counted(tmp_path: Path) -> None:
-    lines = [flaser(1), flaser(3602), flaser(3603, robot=(50.5, 0.0, 0.0))]
-    log = log_of(tmp_path, *lines)
-    scans, skips = read(log)
-    assert len(scans) == 3
-    assert skips.total == 0
-    assert log.warnings.to_json() == [
-        {"reason": "no scan for an hour or more", "count": 1, "first_lines": [2]},
-        {"reason": "odometry jumps by 50 m or more", "count": 1, "first_lines": [3]},
-    ]
 
 
 # --- damage --------------------------------------------------------------------------------------

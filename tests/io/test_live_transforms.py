@@ -5,14 +5,12 @@ from __future__ import annotations
 import math
 
 import pytest
-from hypothesis import given
 from hypothesis import strategies as st
 
 from slamfusion.geometry import Pose2
 from slamfusion.io.transforms import KEEP_S, TransformError, TransformTree
 
 numbers = st.floats(-20.0, 20.0)
-poses = st.builds(Pose2, numbers, numbers, st.floats(-3.1, 3.1))
 
 Sent = tuple[str, str, float, tuple[float, ...]]
 
@@ -26,18 +24,6 @@ def sent(parent: str, child: str, pose: Pose2, time_s: float = 0.0) -> Sent:
 def near(one: Pose2, other: Pose2) -> bool:
     turn = math.remainder(one.yaw_rad - other.yaw_rad, 2.0 * math.pi)
     return math.hypot(one.x - other.x, one.y - other.y) < 1e-6 and abs(turn) < 1e-7
-
-
-@given(poses, poses, poses)
-def test_frames_are_chained_in_both_directions(a: Pose2, b: Pose2, c: Pose2) -> None:
-    tree = TransformTree(KEEP_S)
-    tree.add(*sent("map", "odom", a), is_static=True)
-    tree.add(*sent("odom", "base", b), is_static=True)
-    tree.add(*sent("map", "dock", c), is_static=True)
-    assert near(tree.mount("map", "base", 5.0).pose, a.compose(b))
-    assert near(tree.mount("base", "map", 5.0).pose, a.compose(b).inverse())
-    assert near(tree.mount("dock", "base", 5.0).pose, c.inverse().compose(a.compose(b)))
-    assert near(tree.mount("base", "base", 5.0).pose, Pose2())
 
 
 def test_between_two_stamps_a_pose_is_interpolated_the_short_way() -> None:

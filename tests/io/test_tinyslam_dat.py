@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gzip
 import math
 from pathlib import Path
 
@@ -115,17 +114,6 @@ def test_bad_lines_are_counted_skips(tmp_path: Path) -> None:
 def test_a_file_without_such_lines_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(LogError, match=r"a\.dat: wanted lines of 707 numbers.* 2 x not 707"):
         log_of(tmp_path, "1 2 3", "4 5 6")
-
-
-def test_a_cut_off_packed_file_gives_what_is_whole_and_says_so(tmp_path: Path) -> None:
-    rng = np.random.default_rng(3)
-    lines = [row(k, ranges=rng.integers(500, 4000, 682).tolist()) for k in range(100)]
-    packed = gzip.compress("\n".join(lines).encode())
-    path = tmp_path / "a.dat.gz"
-    path.write_bytes(packed[: len(packed) // 2])
-    log = TinySlamDat(path)
-    assert 30 < len(list(log)) < 70
-    assert any("ends early" in reason for reason in log.skips.counts)
 
 
 @pytest.mark.datasets

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import inspect
 import re
-from pathlib import Path
 
 import pytest
 
@@ -15,7 +13,6 @@ from tests.kernels.checks import CHECKS
 
 pytestmark = pytest.mark.once
 
-PACKAGE = Path(inspect.getfile(layout)).parents[1]
 SOURCES = {path.name: path.read_text(encoding="utf-8") for path in kernel_folder().iterdir()}
 # Numbers that one kernel alone knows; no twin and no host code does.
 OWN = {

@@ -159,21 +159,6 @@ def test_the_report_of_a_run_has_all_parts(tmp_path: Path) -> None:
     assert page.index("tracking may be lost") < page.index("ATE rmse") < used
 
 
-def test_the_report_of_a_run_without_truth_has_the_map_and_the_path(tmp_path: Path) -> None:
-    result = result_of(run_of("tinyslam", own_map(), in_room()), Measures())
-    page = write_slam_report(result, tmp_path, CONFIG).read_text(encoding="utf-8")
-    assert "The path over the map" in page
-    assert "tinyslam: no warning from its run (60 poses" in page
-    assert 'class="banner plain"' in page
-    for words in ("Error", "ATE", "The path and others", "Over the run"):
-        assert words not in page
-    assert sorted(path.name for path in tmp_path.iterdir()) == [
-        "01-input-room.png",
-        "02-path.png",
-        "report.html",
-    ]
-
-
 def test_the_report_of_a_run_shows_its_series_and_other_paths(tmp_path: Path) -> None:
     stamps = np.arange(60.0)
     run = run_of(

@@ -161,20 +161,6 @@ def test_without_the_obstacle_f16_drives_its_five_metres() -> None:
     assert recording.truth.poses[-1] == pytest.approx([5.0, 0.0, 0.0], abs=1e-6)
 
 
-@pytest.mark.once
-def test_same_seed_same_bytes_and_another_seed_others(tmp_path: Path) -> None:
-    for seed, folder in ((1, "a"), (1, "b"), (2, "c")):
-        write(simulate(short("yard", seed), device()), tmp_path / folder)
-    names = sorted(path.name for path in (tmp_path / "a").iterdir())
-    maps = ["truth.pgm", "truth.tum", "truth.yaml", "truth_thin.pgm", "truth_thin.yaml"]
-    assert names == ["course.yaml", *maps, "yard.log.gz"]
-    for name in names:
-        first = (tmp_path / "a" / name).read_bytes()
-        assert (tmp_path / "b" / name).read_bytes() == first
-        if name not in {"truth.yaml", "truth_thin.yaml"}:
-            assert (tmp_path / "c" / name).read_bytes() != first
-
-
 @pytest.mark.parametrize("name", ["f16", "atrium"])
 def test_the_written_course_gives_the_same_files_again(tmp_path: Path, name: str) -> None:
     course = with_overrides(short(name), SimulateConfig(people=1, glass_share=0.1))

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -70,33 +68,3 @@ def test_maps_grow_and_no_wall_moves(
         wanted = base.transform.compose(FRAMES[base.name])
         assert np.hypot(found.x - wanted.x, found.y - wanted.y) < 0.15
         assert abs(np.angle(np.exp(1j * (found.yaw_rad - wanted.yaw_rad)))) < 0.03
-
-
-@pytest.mark.parametrize("name", ["gmapping"])
-def test_one_is_refused_lost_and_returns_and_no_wall_moves(
-    device: ComputeDevice, rounds: list[dict[str, OccupancyGrid]], name: str
-) -> None:
-    fusion = Drive(live_fusion(device))
-    for maps in rounds[:3]:
-        fusion.step(*maps.values())
-    first = fusion.fused
-    assert first is not None
-    others = [other for other in FRAMES if other != name]
-    # Upside down, then gone while the others go on, then back.
-    bad = rounds[3][name]
-    bad = replace(bad, cells=np.ascontiguousarray(bad.cells[::-1]))
-    fusion.step(bad, *(rounds[3][other] for other in others))
-    states = [fusion.accepted()]
-    fusion.live.drop(name, "gone")
-    fusion.step(*(rounds[4][other] for other in others))
-    states.append(fusion.accepted())
-    for state in states:
-        assert state == "".join(others)
-    assert fusion.fused is not None
-    assert_same_lattice(first, fusion.fused)
-    assert share_standing(first, fusion.fused) > 0.95
-    for maps in rounds[5:]:
-        fusion.step(*maps.values())
-    assert fusion.accepted() == "tinyslamgmappinggraph"
-    assert_same_lattice(first, fusion.fused)
-    assert share_standing(first, fusion.fused) > 0.95

@@ -77,21 +77,6 @@ def test_a_bent_map_is_named_live_as_by_the_offline_command(device: ComputeDevic
     assert found == offline.wall_agreement
 
 
-def test_nothing_is_published_before_two_inputs_agree(device: ComputeDevice) -> None:
-    drive = Drive(live_fusion(device))
-    first = drive.step(three()["a"])
-    assert first.fused is None
-    assert "waits for 2 inputs" in first.problem
-    assert "waits for 2 inputs" in drive.input("a").reason
-    stranger = drive.step(building(99, 12.0, 10.0).with_name("stranger"))
-    assert stranger.fused is None
-    assert "align" in drive.input("stranger").reason
-    agreed = drive.step(three()["b"])
-    assert agreed.fused is not None
-    assert drive.accepted() == "ab"
-    assert not drive.input("stranger").accepted
-
-
 def test_nothing_new_is_no_update_and_an_equal_map_publishes_nothing(device: ComputeDevice) -> None:
     drive = started(device)
     assert drive.maybe() is None

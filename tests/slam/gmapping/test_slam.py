@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import pytest
 
-from slamfusion.compute import ComputeDevice, NumpyDevice
+from slamfusion.compute import ComputeDevice
 from slamfusion.compute.hit_counts import percent_of_counts
 from slamfusion.compute.layout import FULL_VISITS
 from slamfusion.config import GmappingConfig
@@ -386,22 +385,3 @@ def test_counts_that_overflow_again_and_again_keep_the_map(device: ComputeDevice
     # The score field is what the counts say.
     counts, sums, field = (maps.tiles.cells(name, 0)[0] for name in ("counts", "sums", "field"))
     np.testing.assert_array_equal(score_field_of(counts, sums, maps.field_rule), field)
-
-
-# -- going on from a file --------------------------------------------------------------------------
-
-
-def test_a_state_may_move_to_the_twins(device: ComputeDevice, tmp_path: Path):
-    scans, _ = drive(12)
-    settings = config(particles=2, **OFTEN)
-    feed(Gmapping(settings, device), scans[:8]).save_state(tmp_path / "state")
-    resumed = feed(Gmapping.load_state(tmp_path / "state", settings, NumpyDevice()), scans[8:])
-    whole = run(device, scans, particles=2, **OFTEN)
-    assert everything(resumed) == everything(whole)
-
-
-@pytest.fixture(scope="module")
-def state(device: ComputeDevice, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("state") / "drive.state"
-    run(device, drive(5)[0]).save_state(path)
-    return path
