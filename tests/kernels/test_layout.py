@@ -74,7 +74,7 @@ def test_kernels_get_the_numbers_of_the_layout():
 @pytest.mark.parametrize("family", FAMILIES)
 def test_a_family_is_a_module_and_a_file_of_kernels(family: type):
     name = family.__module__.rpartition(".")[2]
-    assert 1 <= len(operations(family)) <= 9
+    assert operations(family)
     assert f"slamfusion/compute/{name}.py" in SOURCES[f"{name}.cl"]
 
 
