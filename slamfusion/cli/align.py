@@ -56,7 +56,6 @@ def command(
     scale: PixelSizes | None,
     folder: Path | None,
     config: RunConfig,
-    as_json: bool,
 ) -> None:
     """Align one map with another, or with a floor plan.
 
@@ -91,15 +90,14 @@ def command(
         config = options.with_starts(config, starts)
         with options.start_errors(starts):
             found = align_maps(still, moved, config, device)
-    if as_json:
-        factor = None if scale is None else plan.scale
-        made_by = Circumstances(device.name, config)
-        output.print_json(AlignDocument(found, made_by, moved.resolution, factor))
-    else:
+    factor = None if scale is None else plan.scale
+    made_by = Circumstances(device.name, config)
+    is_json = output.print_if_json(AlignDocument(found, made_by, moved.resolution, factor))
+    if not is_json:
         _print_alignment(found, device.name, None if scale is None else moved.resolution)
     if not found.accepted:
         raise AlignmentError(f"{moving} does not align with {reference}: {found.reason}")
-    if folder is not None and not as_json:
+    if folder is not None and not is_json:
         drawn, placed = folder / f"{PLAN}.yaml", folder / f"{PLACED}.yaml"
         words = f"{shlex.quote(str(placed))} --truth {shlex.quote(str(drawn))} --scale free"
         output.print_facts(

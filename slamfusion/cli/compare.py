@@ -9,7 +9,7 @@ import click
 
 from slamfusion.cli import options
 from slamfusion.cli.help import Command
-from slamfusion.cli.output import NOTHING, notice, print_facts, print_json, print_table
+from slamfusion.cli.output import NOTHING, notice, print_facts, print_if_json, print_table
 from slamfusion.cli.paths import FILE
 from slamfusion.cli.results import print_by_case, table_option
 from slamfusion.jobs.documents import number, p_text
@@ -34,7 +34,7 @@ LEADING = ("error", "wall_f1", "ate_rmse_m", "relations_mean_m", "consistency")
 )
 @options.common
 @table_option
-def command(files: tuple[Path, ...], plot_path: Path | None, as_json: bool) -> None:
+def command(files: tuple[Path, ...], plot_path: Path | None) -> None:
     """Compare saved results, with p-values.
 
     The files come from --save-results. Every two files are compared. If a file holds several
@@ -50,8 +50,7 @@ def command(files: tuple[Path, ...], plot_path: Path | None, as_json: bool) -> N
         write_comparison_plot(found, plot_path)
     for sentence in found.notes:
         notice(sentence)
-    if as_json:
-        print_json(found)
+    if print_if_json(found):
         return
     print_comparison(found)
     if plot_path is not None:

@@ -9,7 +9,7 @@ import click
 
 from slamfusion.cli import options
 from slamfusion.cli.help import Command
-from slamfusion.cli.output import print_json, print_table
+from slamfusion.cli.output import print_if_json, print_table
 from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 @click.command("doctor", cls=Command)
 @options.settings("device")
 @options.common
-def command(config: RunConfig, as_json: bool) -> None:
+def command(config: RunConfig) -> None:
     """Check this installation.
 
     Lists versions and devices and tests three kernels.
@@ -28,9 +28,7 @@ def command(config: RunConfig, as_json: bool) -> None:
     from slamfusion.jobs.doctor import check_installation  # noqa: PLC0415
 
     found = check_installation(config)
-    if as_json:
-        print_json(found)
-    else:
+    if not print_if_json(found):
         print_table(
             ("package ", "version "),
             [[name, version or "absent"] for name, version in found.versions.items()],
@@ -56,7 +54,7 @@ def command(config: RunConfig, as_json: bool) -> None:
 
 @click.command("devices", cls=Command)
 @options.common
-def devices_command(as_json: bool) -> None:
+def devices_command() -> None:
     """List the OpenCL devices.
 
     --device takes an index or a part of a name.
@@ -65,8 +63,7 @@ def devices_command(as_json: bool) -> None:
     from slamfusion.jobs.doctor import DevicesDocument  # noqa: PLC0415
 
     devices = list_devices()
-    if as_json:
-        print_json(DevicesDocument(devices))
+    if print_if_json(DevicesDocument(devices)):
         return
     print_devices(devices)
     print("numpy: always there (--device numpy), without OpenCL and slower")

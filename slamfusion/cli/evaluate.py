@@ -86,8 +86,6 @@ def command(
     report_dir: Path | None,
     image_path: Path | None,
     resolution: float | None,
-    results_path: Path | None,
-    as_json: bool,
 ) -> None:
     """Measure the errors of maps.
 
@@ -101,12 +99,13 @@ def command(
     from slamfusion.jobs.evaluate import evaluate_cases  # noqa: PLC0415
 
     is_mutual = not truths and distances_path is None
+    is_saved = output.settings().results_path is not None
     for is_wrong, message in (
         (
             is_mutual and len(maps) < 2,
             "give --truth MAP, --distances FILE, or more maps to compare with each other",
         ),
-        (is_mutual and results_path, "--save-results needs --truth MAP or --distances FILE"),
+        (is_mutual and is_saved, "--save-results needs --truth MAP or --distances FILE"),
         (not truths and (report_dir or image_path), "--report and --image need --truth MAP"),
         (
             scale is not None and not align,
@@ -118,7 +117,7 @@ def command(
     paths = [item.path for item in maps]
     if is_mutual:
         grids = load_maps(paths, config, resolution=resolution, warn=output.notice)
-        _compare(grids, config, as_json)
+        _compare(grids, config)
         return
     with output.progress_bar() as progress:
         found = evaluate_cases(
@@ -132,13 +131,9 @@ def command(
     tables.tell_unaligned(evaluations)
     rows = found.rows()
     results.save_results(
-        results_path,
-        found,
-        [*rows, *found.distance_rows()],
-        lambda: _inputs(paths, found.truths, distances_path),
+        found, [*rows, *found.distance_rows()], lambda: _inputs(paths, found.truths, distances_path)
     )
-    if as_json:
-        output.print_json(found)
+    if output.print_if_json(found):
         return
     if len(truths) > 1:
         results.print_items(rows, "map", ("error", "wall_f1"))
@@ -153,7 +148,7 @@ def command(
     )
 
 
-def _compare(grids: Sequence[OccupancyGrid], config: RunConfig, as_json: bool) -> None:
+def _compare(grids: Sequence[OccupancyGrid], config: RunConfig) -> None:
     from slamfusion.jobs.evaluate import EvaluatedMaps, agreement_items, compare_maps  # noqa: PLC0415
     from slamfusion.jobs.records import Settings  # noqa: PLC0415
 
@@ -162,11 +157,10 @@ def _compare(grids: Sequence[OccupancyGrid], config: RunConfig, as_json: bool) -
         result = compare_maps(grids, config, device, progress=progress)
     tables.tell_left_out(result)
     items = agreement_items(result)
-    if as_json:
-        document = EvaluatedMaps(
-            agreement=items, device=device.name, seed=config.seed, settings=Settings(config)
-        )
-        output.print_json(document)
+    document = EvaluatedMaps(
+        agreement=items, device=device.name, seed=config.seed, settings=Settings(config)
+    )
+    if output.print_if_json(document):
         return
     rows, notes = [], []
     for record, item in zip(result.inputs, items, strict=True):

@@ -12,7 +12,7 @@ import click
 
 from slamfusion.cli import options, results
 from slamfusion.cli.help import Group
-from slamfusion.cli.output import notice, print_json, print_table, progress_bar
+from slamfusion.cli.output import notice, print_if_json, print_table, progress_bar
 from slamfusion.cli.paths import CASE_MAP, FILE, InputPath
 from slamfusion.config import PICTURE_FORMS, RunConfig
 from slamfusion.errors import ConfigError, SlamFusionError
@@ -51,12 +51,7 @@ def _experiment(*sections: str) -> Callable[[Callable[..., Experiment]], Callabl
     def decorate(function: Callable[..., Experiment]) -> Callable[..., None]:
         @functools.wraps(function)
         def run(
-            folder: Path,
-            config: RunConfig,
-            results_path: Path | None,
-            as_json: bool,
-            scheduler: str | None = None,
-            **given: Any,
+            folder: Path, config: RunConfig, scheduler: str | None = None, **given: Any
         ) -> None:
             from slamfusion.compute import NumpyDevice  # noqa: PLC0415  (loads slowly)
             from slamfusion.experiments.runs import Setup  # noqa: PLC0415
@@ -67,10 +62,8 @@ def _experiment(*sections: str) -> Callable[[Callable[..., Experiment]], Callabl
                 found = function(setup, **given)
             files = found.write(folder, config.report.pictures)
             document = found.document(files, config, device.name)
-            results.save_results(results_path, document, found.rows, lambda: found.read)
-            if as_json:
-                print_json(document)
-            else:
+            results.save_results(document, found.rows, lambda: found.read)
+            if not print_if_json(document):
                 print(found.title)
                 for title, heads, rows in found.text_tables(details=False):
                     print_table([f"{heads[0]} ", *heads[1:]], rows, title=title)

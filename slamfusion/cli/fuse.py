@@ -96,7 +96,6 @@ def command(
     scheduler: str | None,
     processes: int | None,
     config: RunConfig,
-    as_json: bool,
 ) -> None:
     """Align saved maps of one place and fuse them by vote.
 
@@ -133,11 +132,9 @@ def command(
         # The report of an earlier fusion stays, as its map does.
         if report_dir is not None:
             write_failed_fusion(error, config, report_dir, device=device.name)
-        if as_json:
-            circumstances = Circumstances(device.name, config)
-            given = GivenMaps.of(maps, resolution)
-            output.print_json(FuseDocument.failed(error, circumstances, given))
-        elif error.pairs:
+        circumstances = Circumstances(device.name, config)
+        failed = FuseDocument.failed(error, circumstances, GivenMaps.of(maps, resolution))
+        if not output.print_if_json(failed) and error.pairs:
             tables.print_pairs(error.pairs, device.name)
         raise
     stem = stem_of(out, {".yaml", ".yml", outputs.STORE_END})
@@ -150,9 +147,7 @@ def command(
     for path, own in zip(fused.stores, fused.stems, strict=True):
         if own is None:
             output.notice(f"{path}: too large for a map server; its files are not written")
-    if as_json:
-        output.print_json(document)
-    else:
+    if not output.print_if_json(document):
         _print_result(fused, stem, report_dir)
     if is_opened and report_dir is not None:
         click.launch(str(report_dir / outputs.PAGE))

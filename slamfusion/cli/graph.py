@@ -10,7 +10,7 @@ import click
 
 from slamfusion.cli import options
 from slamfusion.cli.help import Group
-from slamfusion.cli.output import notice, print_facts, print_json, print_table
+from slamfusion.cli.output import notice, print_facts, print_if_json, print_table
 from slamfusion.cli.paths import FILE
 from slamfusion.config import RunConfig
 from slamfusion.jobs.documents import number
@@ -42,7 +42,7 @@ def command() -> None:
 @options.settings("graph_optimizer")
 @options.common
 def optimize_command(
-    path: Path, out: Path | None, tum_path: Path | None, config: RunConfig, as_json: bool
+    path: Path, out: Path | None, tum_path: Path | None, config: RunConfig
 ) -> None:
     """Find the poses that fit the edges of a pose graph best.
 
@@ -59,8 +59,7 @@ def optimize_command(
     if not graph.converged:
         notice(f"{path}: not converged; try another --start")
     graph = save_optimized_graph(graph, out, tum=tum_path)
-    if as_json:
-        print_json(graph)
+    if print_if_json(graph):
         return
     along = "" if graph.has_poses else " (along the odometry; the file has no vertices)"
     rows = [

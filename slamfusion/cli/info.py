@@ -10,7 +10,7 @@ import click
 
 from slamfusion.cli import options
 from slamfusion.cli.help import Command
-from slamfusion.cli.output import print_json, print_table, progress_bar, say
+from slamfusion.cli.output import print_if_json, print_table, progress_bar, say
 from slamfusion.cli.paths import FILE
 from slamfusion.config import RunConfig
 
@@ -25,7 +25,7 @@ UNITS = {"s": "s", "m": "m", "m2": "m2", "hz": "Hz", "deg": "deg", "percent": "%
 @click.argument("path", metavar="LOG|BAG|MAP|RUN", type=FILE)
 @options.settings("log", "map_files")
 @options.common
-def command(path: Path, config: RunConfig, as_json: bool) -> None:
+def command(path: Path, config: RunConfig) -> None:
     """Describe a log, a bag, a map or a run.
 
     Shows duration, scans, laser, odometry and topics of a log or bag, size and area of a map, and
@@ -35,8 +35,7 @@ def command(path: Path, config: RunConfig, as_json: bool) -> None:
 
     with progress_bar() as progress:
         found = describe(path, config, progress)
-    if as_json:
-        print_json(found)
+    if print_if_json(found):
         return
     (record,) = (item for item in (found.log, found.map, found.run) if item is not None)
     rows = [_row(field.name, getattr(record, field.name)) for field in fields(record)]

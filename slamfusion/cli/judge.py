@@ -66,8 +66,6 @@ def command(
     paths: tuple[CaseFile, ...],
     fused: Path | None,
     report_dir: Path | None,
-    results_path: Path | None,
-    as_json: bool,
     **others: tuple[CaseFile, ...],
 ) -> None:
     """Rank the paths of a log by its scans, without ground truth.
@@ -130,10 +128,8 @@ def command(
     document = (
         judgements_document(found, rows) if several else JudgeDocument(first, first.circumstances)
     )
-    results.save_results(results_path, document, rows, lambda: measured_inputs(placed, known))
-    if as_json:
-        output.print_json(document)
-    else:
+    results.save_results(document, rows, lambda: measured_inputs(placed, known))
+    if not output.print_if_json(document):
         given = {"log": log, "more_logs": more_logs}
         _print(found, rows, [] if report_dir is None else _report_folders(report_dir, given))
     not_measured = [

@@ -13,7 +13,7 @@ import click
 from slamfusion.cli import options
 from slamfusion.cli.help import Choice, Group, Number
 from slamfusion.cli.node import import_rclpy
-from slamfusion.cli.output import one_line, print_json, print_table
+from slamfusion.cli.output import one_line, print_if_json, print_table, settings
 from slamfusion.errors import SlamFusionError
 
 if TYPE_CHECKING:
@@ -58,11 +58,10 @@ def _node_options(function: Callable[..., None]) -> Callable[..., None]:
 
 @command.command("status")
 @_node_options
-def status_command(client: Any, as_json: bool) -> None:
+def status_command(client: Any) -> None:
     """Show which inputs vote, and why others do not."""
     found: LiveStatusDocument = client.status()
-    if as_json:
-        print_json(found)
+    if print_if_json(found):
         return
     inputs = found["inputs"]
     rows = [
@@ -85,7 +84,7 @@ def status_command(client: Any, as_json: bool) -> None:
 
 @command.command("watch")
 @_node_options
-def watch_command(client: Any, as_json: bool) -> None:
+def watch_command(client: Any) -> None:
     """Print each change of a vote or warning until Ctrl-C; with --json one line each."""
     printed: dict[str, tuple[str, str]] = {}
     with contextlib.suppress(KeyboardInterrupt):
@@ -96,7 +95,7 @@ def watch_command(client: Any, as_json: bool) -> None:
                 now = line["level"], "".join(c for c in line["message"] if not c.isdigit())
                 if printed.get(line["name"]) != now:
                     printed[line["name"]] = now
-                    print(json.dumps(line) if as_json else _words(line), flush=True)
+                    print(json.dumps(line) if settings().as_json else _words(line), flush=True)
 
 
 def _words(line: LiveLineJson) -> str:
@@ -111,20 +110,18 @@ def _words(line: LiveLineJson) -> str:
 @click.option("--format", "image_format", type=Choice(["pgm", "png", "bmp"]), help="Image format.")
 @click.option("--mode", type=Choice(["trinary", "scale", "raw"]), help="Map value mode.")
 @_node_options
-def save_command(
-    client: Any, path: str | None, image_format: str | None, mode: str | None, as_json: bool
-) -> None:
+def save_command(client: Any, path: str | None, image_format: str | None, mode: str | None) -> None:
     """Save the fused map to the node's save_path, or to --path in its folder."""
     rules = {"path": path, "format": image_format, "mode": mode}
     given = {name: value for name, value in rules.items() if value is not None}
-    _tell(client.save_as(**given) if given else client.call("save_map"), as_json)
+    _tell(client.save_as(**given) if given else client.call("save_map"))
 
 
 @command.command("reset")
 @_node_options
-def reset_command(client: Any, as_json: bool) -> None:
+def reset_command(client: Any) -> None:
     """Start a new fused frame with the newest maps."""
-    _tell(client.call("reset"), as_json)
+    _tell(client.call("reset"))
 
 
 @command.command("add")
@@ -135,17 +132,17 @@ def reset_command(client: Any, as_json: bool) -> None:
     help="Topic of its maps, or file:PATH of a map on the node's machine. [default: NAME/map]",
 )
 @_node_options
-def add_command(client: Any, name: str, topic: str | None, as_json: bool) -> None:
+def add_command(client: Any, name: str, topic: str | None) -> None:
     """Add the maps of another SLAM, which votes once they fit."""
-    _tell(client.add(name, topic), as_json)
+    _tell(client.add(name, topic))
 
 
 @command.command("remove")
 @click.argument("name", metavar="NAME")
 @_node_options
-def remove_command(client: Any, name: str, as_json: bool) -> None:
+def remove_command(client: Any, name: str) -> None:
     """Remove an input and its vote."""
-    _tell(client.remove(name), as_json)
+    _tell(client.remove(name))
 
 
 # A value may be negative.
@@ -153,16 +150,15 @@ def remove_command(client: Any, name: str, as_json: bool) -> None:
 @click.argument("parameter", metavar="PARAMETER")
 @click.argument("value", metavar="VALUE")
 @_node_options
-def set_command(client: Any, parameter: str, value: str, as_json: bool) -> None:
+def set_command(client: Any, parameter: str, value: str) -> None:
     """Set a parameter of the running node, such as max_publish_rate_hz."""
-    _tell(client.set(parameter, value), as_json)
+    _tell(client.set(parameter, value))
 
 
-def _tell(answer: LiveAnswerDocument, as_json: bool) -> None:
+def _tell(answer: LiveAnswerDocument) -> None:
     """Print an answer; a refusal is an error."""
-    if as_json:
-        print_json(answer)
+    is_json = print_if_json(answer)
     if not answer["success"]:
         raise SlamFusionError(answer["message"])
-    if not as_json:
+    if not is_json:
         print(answer["message"])

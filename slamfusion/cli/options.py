@@ -229,28 +229,32 @@ truth_scale = scale(
 
 
 def common(function: F) -> F:
-    """Give a command ``--json`` (as ``as_json``), ``-v`` and ``--debug``; check its paths."""
+    """Give a command ``--json``, ``-v`` and ``--debug``; check its paths.
+
+    These, and the value of ``--save-results``, are in ``output.settings``.
+    """
 
     @functools.wraps(function)
     def wrapper(*args: Any, **values: Any) -> Any:
         context = click.get_current_context()
         paths.check_paths(context, {**context.params, **values})
+        context.ensure_object(Settings).results_path = values.pop("results_path", None)
         return function(*args, **values)
 
     def remember(context: click.Context, option: click.Parameter, value: bool) -> bool:
         setattr(context.ensure_object(Settings), str(option.name), value)
         return value
 
-    def flag(*names: str, text: str, exposed: bool = False) -> Callable[[Any], Any]:
+    def flag(*names: str, text: str) -> Callable[[Any], Any]:
         return click.option(
-            *names, is_flag=True, is_eager=True, expose_value=exposed, callback=remember, help=text
+            *names, is_flag=True, is_eager=True, expose_value=False, callback=remember, help=text
         )
 
     command: Any = flag("--debug", text="Show the traceback of an error.")(wrapper)
     words = "Print all columns, reasons and warnings."
     command = flag("-v", "--verbose", text=words)(command)
     words = "Print one JSON document instead of tables."
-    return typing.cast("F", flag("--json", "as_json", text=words, exposed=True)(command))
+    return typing.cast("F", flag("--json", "as_json", text=words)(command))
 
 
 def _listed(info: FieldInfo, text: str | None) -> tuple[Any, ...] | None:

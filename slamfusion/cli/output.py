@@ -38,6 +38,7 @@ class Settings:
 
     Attributes:
         printed: whether the JSON document was.
+        results_path: file of ``--save-results``.
         tables: file that keeps the printed tables.
         arguments: the whole command line, without the program.
     """
@@ -46,11 +47,12 @@ class Settings:
     as_json: bool = False
     verbose: bool = False
     printed: bool = False
+    results_path: Path | None = None
     tables: list[Table] | None = None
     arguments: tuple[str, ...] = ()
 
 
-def _settings() -> Settings:
+def settings() -> Settings:
     """Return those of the running command; without one, those of no command."""
     context = click.get_current_context(silent=True)
     return Settings() if context is None else context.ensure_object(Settings)
@@ -61,12 +63,19 @@ def print_json(document: Any) -> None:
     from slamfusion.json_values import plain  # noqa: PLC0415  (NumPy loads slowly; --help needs none)
 
     print(json.dumps(plain(document), indent=2, allow_nan=False))
-    _settings().printed = True
+    settings().printed = True
+
+
+def print_if_json(document: Any) -> bool:
+    """Print the document if the running command has ``--json``; return whether it has."""
+    if settings().as_json:
+        print_json(document)
+    return settings().as_json
 
 
 def is_verbose() -> bool:
     """Whether the running command has ``--verbose``."""
-    return _settings().verbose
+    return settings().verbose
 
 
 def notice(text: str) -> None:
@@ -125,7 +134,7 @@ def print_table(
 ) -> None:
     """Print a table to stdout, fitted to a terminal or tab-separated; see ``Table``."""
     table = Table(columns, rows, notes, title, has_head=header, names=names)
-    kept = _settings().tables
+    kept = settings().tables
     if kept is not None and header:
         kept.append(table)
     if sys.stdout.isatty():

@@ -23,7 +23,6 @@ F = TypeVar("F", bound=Callable[..., Any])
 # Its import says what to install.
 RESULTS = "slamfusion.jobs.results"
 
-# Of a command that hands its value to ``save_results``.
 results_option = options.output(
     "--save-results",
     "results_path",
@@ -35,19 +34,16 @@ results_option = options.output(
 
 
 def save_results(
-    path: Path | None,
-    document: Any,
-    rows: Sequence[Row],
-    inputs: Callable[[], Sequence[tuple[str, str, Path]]] = list,
+    document: Any, rows: Sequence[Row], inputs: Callable[[], Sequence[tuple[str, str, Path]]]
 ) -> None:
     """Write what the running command measured, if it was asked for."""
+    context, settings = click.get_current_context(), output.settings()
+    path = settings.results_path
     if path is None:
         return
     from slamfusion.jobs.results import write_results_file  # noqa: PLC0415  (loads slowly)
     from slamfusion.json_values import plain  # noqa: PLC0415
 
-    context = click.get_current_context()
-    settings = context.ensure_object(output.Settings)
     write_results_file(
         path,
         command=" ".join(context.command_path.split()[1:]),
@@ -169,9 +165,9 @@ def table_option(function: F) -> F:
     def wrapper(*arguments: Any, table_path: Path | None, **given: Any) -> Any:
         if table_path is None:
             return function(*arguments, **given)
-        if given.get("as_json"):
+        settings = output.settings()
+        if settings.as_json:
             raise click.UsageError("--table and --json exclude each other; leave one out")
-        settings = click.get_current_context().ensure_object(output.Settings)
         settings.tables, settings.verbose = [], True
         try:
             return function(*arguments, **given)

@@ -151,10 +151,8 @@ def command(
     starts: options.GivenStarts,
     scheduler: str | None,
     seeds: tuple[int, ...],
-    results_path: Path | None,
     is_opened: bool,
     config: RunConfig,
-    as_json: bool,
     probabilities: bool,
     **asked: Any,
 ) -> None:
@@ -181,8 +179,11 @@ def command(
                 _refuse_files_of_one_log(config, asked)
             _run_several(
                 log_tasks(logs, out, seeds, probabilities=probabilities),
-                out, config, scheduler, asked, results_path=results_path, as_json=as_json,
-            )  # fmt: skip
+                out,
+                config,
+                scheduler,
+                asked,
+            )
             return
         if scheduler is not None:
             message = (
@@ -198,9 +199,8 @@ def command(
             )
             progress(REPORT, 0, 1)
             run = save_run(run, out, probabilities=probabilities)
-    rows = run_rows(run, case_of(logs[0])) if results_path is not None else []
-    results.save_results(results_path, run, rows, lambda: _inputs(logs, asked))
-    _print(run, as_json=as_json)
+    results.save_results(run, run_rows(run, case_of(logs[0])), lambda: _inputs(logs, asked))
+    _print(run)
     if is_opened:
         click.launch(str(run.report))
     if reason := run.error or "; ".join(run.not_measured):
@@ -208,23 +208,23 @@ def command(
         raise SlamFusionError(f"{reason} (the files so far are in {run.folder}{earlier})")
 
 
-def _print(run: LogRun, *, as_json: bool) -> None:
+def _print(run: LogRun) -> None:
     """Print the document, or tables; warnings to stderr."""
-    if click.get_current_context().ensure_object(output.Settings).debug:
+    settings = output.settings()
+    if settings.debug:
         for item in run.failed:
             if item.detail:
                 print(f"{item.name}: {item.detail}", file=sys.stderr)
-    if not as_json:
+    if not settings.as_json:
         _print_tables(run)
     warnings = run.sentences()
-    if as_json or output.is_verbose():
+    if settings.as_json or settings.verbose:
         for sentence in warnings:
             output.notice(sentence)
     elif warnings:
         count = f"{len(warnings)} warning{'s' * (len(warnings) > 1)}"
         output.notice(f"{count} in the report; --verbose prints them")
-    if as_json:
-        output.print_json(run)
+    output.print_if_json(run)
 
 
 def _print_tables(run: LogRun) -> None:
@@ -353,9 +353,6 @@ def _run_several(
     config: RunConfig,
     scheduler: str | None,
     asked: Mapping[str, Any],
-    *,
-    results_path: Path | None,
-    as_json: bool,
 ) -> None:
     from slamfusion.fleet import executor_for  # noqa: PLC0415
     from slamfusion.jobs.records import Settings as SettingsUsed  # noqa: PLC0415
@@ -374,10 +371,8 @@ def _run_several(
     document = RunsDocument(runs, SettingsUsed(config))
     rows = [row for run in runs for row in run.rows]
     logs = list(dict.fromkeys(task.log for task in tasks))
-    results.save_results(results_path, document, rows, lambda: _inputs(logs, asked))
-    if as_json:
-        output.print_json(document)
-    else:
+    results.save_results(document, rows, lambda: _inputs(logs, asked))
+    if not output.print_if_json(document):
         _print_logs(runs, out)
         if rows and tasks[0].seed is not None:
             results.print_items(rows, "path", ("ate_rmse_m", "relations_mean_m", "error"))

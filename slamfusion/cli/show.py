@@ -15,7 +15,7 @@ import click
 
 from slamfusion.cli import options
 from slamfusion.cli.help import Command, Number
-from slamfusion.cli.output import notice, print_json
+from slamfusion.cli.output import notice, print_if_json
 from slamfusion.cli.paths import FILE
 from slamfusion.config import FusionNodeConfig
 from slamfusion.errors import MapFileError, SlamFusionError
@@ -52,7 +52,7 @@ MOST_NAMED = 8
     help="Drive of an experiment to show. [default: the first]",
 )
 @options.common
-def command(folder: Path, port: int, host: str, drive: str, as_json: bool) -> None:
+def command(folder: Path, port: int, host: str, drive: str) -> None:
     """Show the maps of a run in the browser.
 
     DIR is a folder that `slamfusion run`, `fuse` or `experiment` wrote, a fused map, or any folder
@@ -66,10 +66,8 @@ def command(folder: Path, port: int, host: str, drive: str, as_json: bool) -> No
 
     found = read_finished(folder, drive)
     server = PageServer(found.scene, host=host, port=port, report=found.report)
-    if as_json:
-        document: ShowDocument = {"url": server.url, "maps": found.maps}
-        print_json(document)
-    else:
+    document: ShowDocument = {"url": server.url, "maps": found.maps}
+    if not print_if_json(document):
         print(server.url)
         notice("open that address in a browser; Ctrl-C ends it")
         if found.also:

@@ -10,7 +10,7 @@ import click
 
 from slamfusion.cli import options
 from slamfusion.cli.help import Command
-from slamfusion.cli.output import notice, print_json, print_table, progress_bar
+from slamfusion.cli.output import notice, print_if_json, print_table, progress_bar
 from slamfusion.cli.paths import MAP, InputPath
 from slamfusion.config import COURSES, RunConfig
 from slamfusion.jobs.documents import number
@@ -53,9 +53,7 @@ def _files(folder: Path, given: Mapping[str, Any]) -> list[Path]:
 @options.settings("simulate", "device", "")
 @options.common
 @click.pass_context
-def command(
-    context: click.Context, course: Path, folder: Path, config: RunConfig, as_json: bool
-) -> None:
+def command(context: click.Context, course: Path, folder: Path, config: RunConfig) -> None:
     """Simulate a robot's log, with the true map and path.
 
     COURSE is the name of a course, or a YAML file. The command writes NAME.log.gz (a CARMEN log),
@@ -73,8 +71,7 @@ def command(
     made = save_simulated_drive(drive, folder)
     if made.waypoints_left_out:
         notice(f"waypoints left out, which this robot cannot reach: {made.waypoints_left_out}")
-    if as_json:
-        print_json(made)
+    if print_if_json(made):
         return
     end, done = made.odometry_end_error, made.recording.course
     rows = [

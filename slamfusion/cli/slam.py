@@ -11,7 +11,7 @@ import click
 
 from slamfusion.cli import options, tables
 from slamfusion.cli.help import Command, Number, ProducerGroup
-from slamfusion.cli.output import notice, print_facts, print_json, print_table, progress_bar
+from slamfusion.cli.output import notice, print_facts, print_if_json, print_table, progress_bar
 from slamfusion.cli.paths import FILE, MAP, stem_of
 from slamfusion.cli.results import print_items, table_option
 from slamfusion.config import RunConfig
@@ -105,7 +105,6 @@ def _run(
     stem: Path,
     config: RunConfig,
     *,
-    as_json: bool,
     probabilities: bool,
     report: Path | None,
     resume: Path | None = None,
@@ -128,8 +127,7 @@ def _run(
         raise SlamFusionError(message) from mapped.failure
     for sentence in mapped.notices():
         notice(f"{name}: {sentence}")
-    if as_json:
-        print_json(saved)
+    if print_if_json(saved):
         return
     _print(mapped.result, log)
     for path in saved.result.files:
@@ -144,7 +142,6 @@ def _run_seeds(
     stems: Mapping[int | None, Path],
     config: RunConfig,
     *,
-    as_json: bool,
     probabilities: bool,
     **asked: Any,
 ) -> None:
@@ -172,9 +169,7 @@ def _run_seeds(
             rows += result_rows(case_of(log), str(seed), name, {**figures, **errors})
             if mapped.failure is not None:
                 raise SlamFusionError(f"seed {seed}: {mapped.failure}") from mapped.failure
-    if as_json:
-        print_json({**record_keys(saved[-1]), "producers": [own.result for own in saved]})
-    else:
+    if not print_if_json({**record_keys(saved[-1]), "producers": [own.result for own in saved]}):
         print_items(rows, "SLAM", ("ate_rmse_m", "relations_mean_m", "error"))
         print_facts(*((f"seed {seed}", f"{stem}.yaml") for seed, stem in stems.items()))
 

@@ -9,7 +9,7 @@ import click
 
 from slamfusion.cli import options, results
 from slamfusion.cli.help import Command
-from slamfusion.cli.output import notice, print_facts, print_json
+from slamfusion.cli.output import notice, print_facts, print_if_json
 from slamfusion.cli.paths import CASE_FILE, MAP
 from slamfusion.cli.tables import print_measures
 from slamfusion.config import RunConfig
@@ -78,8 +78,6 @@ def command(
     estimates: tuple[CaseFile, ...],
     map_path: Path | None,
     report_dir: Path | None,
-    results_path: Path | None,
-    as_json: bool,
     **files: tuple[CaseFile, ...],
 ) -> None:
     """Measure the errors of paths.
@@ -121,14 +119,12 @@ def command(
     rows = [row for own in found for row in own.rows()]
     document = trajectory_document(found, not_measured, config, several=not is_one)
     inputs = [own.placed for own in found]
-    results.save_results(results_path, document, rows, lambda: measured_inputs(inputs, known))
-    if as_json:
-        print_json(document)
-    elif is_one:
-        print_measures(found[0].trajectory, found[0].measures)
-    else:
-        results.print_items(rows, "path", ("ate_rmse_m", "relations_mean_m"))
-    if page is not None and not as_json:
-        print_facts(("report", page))
+    results.save_results(document, rows, lambda: measured_inputs(inputs, known))
+    if not print_if_json(document):
+        if is_one:
+            print_measures(found[0].trajectory, found[0].measures)
+        else:
+            results.print_items(rows, "path", ("ate_rmse_m", "relations_mean_m"))
+        print_facts(*([] if page is None else [("report", page)]))
     if not_measured:
         raise SlamFusionError("; ".join(not_measured))
