@@ -11,12 +11,16 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TypeVar
 
 import numpy as np
+import numpy.typing as npt
 
 from slamfusion.config import NormalizeConfig
 from slamfusion.errors import GridError
 from slamfusion.geometry import F64, I8, I64, Pose2
+
+Scalar = TypeVar("Scalar", bound=np.generic)
 
 FREE = 0
 OCCUPIED = 100
@@ -54,9 +58,56 @@ class CellBox:
         return self.col1 - self.col0
 
     @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of its cells."""
+        return self.height, self.width
+
+    @property
     def area(self) -> int:
         """Cells in the box."""
         return self.height * self.width
+
+    def hull(self, other: CellBox) -> CellBox:
+        """Return the smallest box that holds both."""
+        return CellBox(
+            min(self.row0, other.row0),
+            min(self.col0, other.col0),
+            max(self.row1, other.row1),
+            max(self.col1, other.col1),
+        )
+
+    def overlap(self, other: CellBox) -> CellBox | None:
+        """Return the cells of both boxes, None without any."""
+        row0, col0 = max(self.row0, other.row0), max(self.col0, other.col0)
+        row1, col1 = min(self.row1, other.row1), min(self.col1, other.col1)
+        return CellBox(row0, col0, row1, col1) if row1 > row0 and col1 > col0 else None
+
+    def moved(self, rows: int, cols: int) -> CellBox:
+        """Return the box some rows and columns further on."""
+        return CellBox(self.row0 + rows, self.col0 + cols, self.row1 + rows, self.col1 + cols)
+
+    def padded(self, cells: int) -> CellBox:
+        """Return the box with some cells more on every side."""
+        return CellBox(self.row0 - cells, self.col0 - cells, self.row1 + cells, self.col1 + cells)
+
+    def grown_inside(self, cells: int, whole: CellBox) -> CellBox:
+        """Return the box with some cells more on each side, cut to another one that it meets."""
+        return self.padded(cells).overlap(whole) or self
+
+    def slices(self, whole: CellBox | None = None) -> tuple[slice, slice]:
+        """Return its indices in an array of the cells of another box; None: from cell [0, 0]."""
+        row0, col0 = (0, 0) if whole is None else (whole.row0, whole.col0)
+        return slice(self.row0 - row0, self.row1 - row0), slice(self.col0 - col0, self.col1 - col0)
+
+    def cut(
+        self, cells: npt.NDArray[Scalar], whole: CellBox, otherwise: int
+    ) -> npt.NDArray[Scalar]:
+        """Return its part of the cells of another box; ``otherwise`` where those do not reach."""
+        out = np.full(self.shape, otherwise, dtype=cells.dtype)
+        common = self.overlap(whole)
+        if common is not None:
+            out[common.slices(self)] = cells[common.slices(whole)]
+        return out
 
 
 def box_origin(origin: Pose2, resolution: float, box: CellBox) -> Pose2:
@@ -203,15 +254,10 @@ class OccupancyGrid:
 
     def crop(self, box: CellBox) -> OccupancyGrid:
         """Return a half-open box, unmoved in the map frame; cells outside the grid are unknown."""
-        if box == CellBox(0, 0, self.height, self.width):
+        whole = CellBox(0, 0, self.height, self.width)
+        if box == whole:
             return self
-        cells = np.full((box.height, box.width), UNKNOWN, dtype=np.int8)
-        row0, col0 = max(box.row0, 0), max(box.col0, 0)
-        row1, col1 = min(box.row1, self.height), min(box.col1, self.width)
-        if row1 > row0 and col1 > col0:
-            cells[row0 - box.row0 : row1 - box.row0, col0 - box.col0 : col1 - box.col0] = (
-                self.cells[row0:row1, col0:col1]
-            )
+        cells = box.cut(self.cells, whole, UNKNOWN)
         origin = box_origin(self.origin, self.resolution, box)
         return OccupancyGrid(cells, self.resolution, origin, self.name)
 

@@ -14,9 +14,10 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.compute.layout import FIXED_ONE
 from slamfusion.config import NormalizeConfig
 from slamfusion.errors import GridError
+from slamfusion.geometry import Pose2
 from slamfusion.grid import UNKNOWN, CellBox, OccupancyGrid, known_box, trinary_cells
 from slamfusion.io.files import check_memory
-from slamfusion.vote.lattice import SAME_RESOLUTION, Extent, Lattice
+from slamfusion.vote.lattice import SAME_RESOLUTION, Lattice
 
 # Bytes per cell of an input that is aligned, during its alignment, and during its vote.
 ALIGNED_BYTES_PER_CELL, BYTES_PER_CELL, VOTED_BYTES_PER_CELL = 4, 24, 7
@@ -59,9 +60,18 @@ class VotingGrid:
         return self.grid.height, self.grid.width
 
     @property
-    def extent(self) -> Extent:
+    def box(self) -> CellBox:
+        """Its cells."""
+        return CellBox(0, 0, *self.shape)
+
+    @property
+    def lattice(self) -> Lattice:
         """Where its cells lie."""
-        return Extent(Lattice(self.grid.resolution, self.grid.origin), self.shape)
+        return Lattice(self.grid.resolution, self.grid.origin)
+
+    def on(self, lattice: Lattice, transform: Pose2) -> CellBox:
+        """Return the cells of another lattice that hold all of it; see ``Lattice.box_of``."""
+        return lattice.box_of(self.box, self.lattice, transform)
 
 
 @dataclass(frozen=True, eq=False)

@@ -51,7 +51,7 @@ def sample_on_lattice(
     shift_x = pose_grid_lattice.x / grid.resolution + _BORDER_CELLS
     shift_y = pose_grid_lattice.y / grid.resolution + _BORDER_CELLS
 
-    sampled = np.full((box.height, box.width), UNKNOWN, dtype=np.int8)
+    sampled = np.full(box.shape, UNKNOWN, dtype=np.int8)
     col_centres = np.arange(box.col0, box.col1) + 0.5
     for first in range(0, box.height, _ROWS_PER_BLOCK):
         block = sampled[first : first + _ROWS_PER_BLOCK]

@@ -33,7 +33,6 @@ from slamfusion.geometry import B8, I8, I32, I64, U32, Pose2, moved_poses
 from slamfusion.grid import FREE, IDENTITY, OCCUPIED, UNKNOWN, CellBox, OccupancyGrid, known_box
 from slamfusion.slam.common.beam_counts import BeamCounts, Beams
 from slamfusion.trajectory import Trajectory
-from slamfusion.vote.boxes import hull
 from slamfusion.vote.lattice import Lattice
 from slamfusion.vote.tiles import GridLayer, TileVoter
 
@@ -237,23 +236,22 @@ def fuse_with_drawn(
         if record.alignment is not None
     }
     voters = [name for name in inputs if name in saved]
-    lattice, box = layer.extent.lattice, layer.extent.box
+    lattice, box = layer.lattice, layer.box
     for name in voters:
         grid, transform = inputs[name]
-        box = hull(box, grid.extent.on(lattice, transform))
+        box = box.hull(grid.on(lattice, transform))
 
     def placed(grid: NormalizedGrid, transform: Pose2) -> I8:
         return warp_onto(grid, transform, lattice, box, device)
 
     own = placed(layer, Pose2())
     aligned = {name: placed(*item) for name, item in inputs.items()}
-    whole = CellBox(0, 0, box.height, box.width)
+    whole = CellBox(0, 0, *box.shape)
     vote = replace(config.vote, mode="consensus")
     layers = {drawn.name: own, **{name: aligned[name] for name in voters}}
     voter = TileVoter(whole, vote, drawn.resolution, tuple(layers))
-    shape = (box.height, box.width)
     shown = {
-        name: voter.prepare(whole, GridLayer(shape, whole, cells).on)
+        name: voter.prepare(whole, GridLayer(box.shape, whole, cells).on)
         for name, cells in layers.items()
     }
     if voter.weighs:

@@ -29,11 +29,10 @@ from slamfusion.config import FusionConfig
 from slamfusion.fleet import in_order
 from slamfusion.fusion.groups import Members, Progress
 from slamfusion.geometry import Pose2
-from slamfusion.grid import OCCUPIED, UNKNOWN, CellBox, OccupancyGrid, box_origin
+from slamfusion.grid import OCCUPIED, UNKNOWN, CellBox, OccupancyGrid
 from slamfusion.io.files import check_memory
 from slamfusion.vote.agreement import AGREEING, Trust, WallCounts, second_opinion
-from slamfusion.vote.boxes import cut, hull, moved, overlap, padded, slices
-from slamfusion.vote.lattice import Extent, Lattice
+from slamfusion.vote.lattice import Lattice
 from slamfusion.vote.tiles import (
     SMALL_TILE,
     TILE,
@@ -75,7 +74,7 @@ class PackedLayer:
         """Pack the cells of a box."""
         blocks = {}
         for part in tiles_of(CellBox(0, 0, *cells.shape), BLOCK):
-            block = cells[slices(part, 0, 0)]
+            block = cells[part.slices()]
             if (block != UNKNOWN).any():
                 packed = zlib.compress(block.tobytes(), 1)
                 blocks[part.row0 // BLOCK, part.col0 // BLOCK] = packed
@@ -83,7 +82,7 @@ class PackedLayer:
 
     def inside(self, box: CellBox) -> PackedLayer:
         """Return the layer on a box of the lattice, from whose first cell its own is counted."""
-        return replace(self, box=moved(self.box, -box.row0, -box.col0))
+        return replace(self, box=self.box.moved(-box.row0, -box.col0))
 
     def under(self, wide: CellBox) -> PackedLayer:
         """Return the layer with only the blocks on a box of the fused lattice."""
@@ -91,20 +90,20 @@ class PackedLayer:
 
     def on(self, box: CellBox) -> I8:
         """Return its cells on a box of the fused lattice, unknown outside of its own."""
-        out = np.full((box.height, box.width), UNKNOWN, dtype=np.int8)
+        out = np.full(box.shape, UNKNOWN, dtype=np.int8)
         for at, place in self._meeting(box):
             block = np.frombuffer(zlib.decompress(self.blocks[at]), np.int8)
-            block = block.reshape(place.height, place.width)
-            part = overlap(place, box) or place
-            out[slices(part, box.row0, box.col0)] = block[slices(part, place.row0, place.col0)]
+            block = block.reshape(place.shape)
+            part = place.overlap(box) or place
+            out[part.slices(box)] = block[part.slices(place)]
         return out
 
     def _meeting(self, box: CellBox) -> Iterator[tuple[tuple[int, int], CellBox]]:
         """Yield each block that has cells of a box, with its own cells."""
         for row, col in self.blocks:
-            square = moved(CellBox(0, 0, BLOCK, BLOCK), row * BLOCK, col * BLOCK)
-            place = overlap(moved(square, self.box.row0, self.box.col0), self.box)
-            if place is not None and overlap(place, box) is not None:
+            square = CellBox(0, 0, BLOCK, BLOCK).moved(row * BLOCK, col * BLOCK)
+            place = square.moved(self.box.row0, self.box.col0).overlap(self.box)
+            if place is not None and place.overlap(box) is not None:
                 yield (row, col), place
 
 
@@ -117,7 +116,7 @@ class LatticeVote:
 
     Attributes:
         layers: by name of the input.
-        origin: of the first fused cell, in the reference's frame.
+        lattice: from the first fused cell on, in the reference's frame.
         prepared: for a vote in memory with one tile, the prepared cells by name, see
             ``TileVoter.prepare``.
     """
@@ -125,14 +124,8 @@ class LatticeVote:
     group: Members
     voter: TileVoter
     layers: Mapping[str, Layer]
-    origin: Pose2
+    lattice: Lattice
     prepared: Mapping[str, npt.NDArray[Any]] | None = None
-
-    @property
-    def extent(self) -> Extent:
-        """The lattice and the cells of the fused map."""
-        whole = self.voter.whole
-        return Extent(Lattice(self.voter.resolution, self.origin), (whole.height, whole.width))
 
     def trusting(
         self, executor: Executor | None = None, progress: Progress | None = None
@@ -141,7 +134,7 @@ class LatticeVote:
         if not self.voter.weighs:
             return self
         vote, whole = self, self.voter.whole
-        is_small = max(whole.height, whole.width) <= TILE and len(self.layers) <= MOST_INPUTS
+        is_small = max(whole.shape) <= TILE and len(self.layers) <= MOST_INPUTS
         if is_small and all(isinstance(layer, GridLayer) for layer in self.layers.values()):
             vote = replace(self, prepared=_shown(self.voter, whole, self.layers))
         found = vote.each(count_tile, "compare", executor, progress)
@@ -178,7 +171,7 @@ class LatticeVote:
         return {
             name: layer.under(wide) if isinstance(layer, PackedLayer) else layer
             for name, layer in self.layers.items()
-            if self.voter.unknown_votes or overlap(layer.box, wide) is not None
+            if self.voter.unknown_votes or layer.box.overlap(wide) is not None
         }
 
     def records(
@@ -205,8 +198,8 @@ class LatticeVote:
         trust, left_out = self.voter.trust, {}
         if config.vote.extent != "union":
             left_out = {
-                item.name: self.extent.area_outside(
-                    item.grid, item.alignment.transform, config.normalize
+                item.name: self.lattice.area_outside(
+                    self.voter.whole, item.grid, item.alignment.transform, config.normalize
                 )
                 for item in inputs
                 if item.accepted and item.alignment is not None
@@ -218,7 +211,7 @@ class LatticeVote:
             "phantom_cells": phantom_cells,
             "weights": self.voter.weights,
             "wall_agreement": self.voter.wall_agreement,
-            "bent": bent_maps(trust, worst, self.extent.lattice),
+            "bent": bent_maps(trust, worst, self.lattice),
             "device": device.name,
             "time_s": 0.0,
             "left_out_m2": {name: area for name, area in left_out.items() if area > 0.0},
@@ -236,12 +229,12 @@ class LatticeVote:
         Raises:
             GridError: more inputs than a vote takes know one place.
         """
-        fused = np.full(self.extent.shape, UNKNOWN, dtype=np.int8)
+        fused = np.full(self.voter.whole.shape, UNKNOWN, dtype=np.int8)
         agreement = np.full_like(fused, UNKNOWN)
         phantom_cells, worst = 0, []
         for _, decided_parts in self.each(partial(decide_parts, device=device), "vote"):
             for part, decided in decided_parts:
-                window = slices(part, 0, 0)
+                window = part.slices()
                 fused[window], agreement[window] = decided.fused, decided.agreement
                 phantom_cells += decided.phantom_cells
                 worst.append(decided.worst)
@@ -252,11 +245,11 @@ class LatticeVote:
         fused[fused == 1] = OCCUPIED
         # Read-only arrays are not copied again.
         fused.flags.writeable = agreement.flags.writeable = False
-        size, inputs = self.voter.resolution, self.records(grids, others)
+        inputs, lattice = self.records(grids, others), self.lattice
         return FusionResult(
             **self.outcome(inputs, phantom_cells, worst, config, device),
-            fused=OccupancyGrid(fused, size, self.origin, "fused"),
-            agreement=OccupancyGrid(agreement, size, self.origin, "agreement"),
+            fused=OccupancyGrid(fused, lattice.resolution, lattice.origin, "fused"),
+            agreement=OccupancyGrid(agreement, lattice.resolution, lattice.origin, "agreement"),
         )
 
 
@@ -333,20 +326,19 @@ def _prepare(
 ) -> LatticeVote:
     """Prepare the vote of one group; see ``prepare_votes``."""
     base = lattices(group.reference)
-    lattice, box = base.extent.lattice, base.extent.box
+    lattice, box = base.lattice, base.box
     is_union = config.vote.extent == "union"
     laid: dict[str, Layer] = {}
     for name, pair in group.alignments.items():
         grid = base if name == group.reference else lattices(name)
-        covered = grid.extent.on(lattice, pair.transform)
-        own = padded(covered, 1)
+        covered = grid.on(lattice, pair.transform)
+        own = covered.padded(1)
         if is_union:
-            box = hull(box, covered)
+            box = box.hull(covered)
         else:
-            own = overlap(own, box) or CellBox(box.row0, box.col0, box.row0, box.col0)
+            own = own.overlap(box) or CellBox(box.row0, box.col0, box.row0, box.col0)
         cells = warp_onto(grid, pair.transform, lattice, own, device)
-        shape = own.height, own.width
-        laid[name] = PackedLayer.of(own, cells) if is_stored else GridLayer(shape, own, cells)
+        laid[name] = PackedLayer.of(own, cells) if is_stored else GridLayer(own.shape, own, cells)
     if not is_stored:
         check_memory(
             VOTED_BYTES * box.area,
@@ -354,13 +346,14 @@ def _prepare(
             group.reference,
             "free memory, use a coarser cell, or fuse into a store tile by tile (-o OUT.zarr)",
         )
-    whole, first = CellBox(0, 0, box.height, box.width), (box.row0, box.col0)
+    whole, first = CellBox(0, 0, *box.shape), (box.row0, box.col0)
     voter = TileVoter(whole, config.vote, lattice.resolution, tuple(laid), first)
     layers = {name: layer.inside(box) for name, layer in laid.items()}
     if voter.unknown_votes and not is_stored:
-        shape = whole.height, whole.width
-        layers = {name: GridLayer(shape, whole, own.on(whole)) for name, own in layers.items()}
-    return LatticeVote(group, voter, layers, box_origin(lattice.origin, lattice.resolution, box))
+        layers = {
+            name: GridLayer(whole.shape, whole, own.on(whole)) for name, own in layers.items()
+        }
+    return LatticeVote(group, voter, layers, Lattice(lattice.resolution, lattice.corner(*first)))
 
 
 # --- where tiles are decided -----------------------------------------------------------------
@@ -389,12 +382,12 @@ def decide_tile(
     voter: TileVoter, tile: CellBox, layers: Mapping[str, Any], device: ComputeDevice
 ) -> DecidedTile | None:
     """Decide a tile; None where no input knows any cell of it."""
-    fused = np.full((tile.height, tile.width), UNKNOWN, dtype=np.int8)
+    fused = np.full(tile.shape, UNKNOWN, dtype=np.int8)
     agreement = np.full_like(fused, UNKNOWN)
     phantom_cells, worst = 0, dict[str, tuple[int, int, int]]()
     parts = decide_parts(voter, tile, layers, device)
     for part, decided in parts:
-        window = slices(part, tile.row0, tile.col0)
+        window = part.slices(tile)
         fused[window], agreement[window] = decided.fused, decided.agreement
         phantom_cells += decided.phantom_cells
         worst |= {
@@ -417,7 +410,7 @@ def _shown(
     for name, layer in layers.items():
         if isinstance(layer, np.ndarray):  # it was prepared before
             found[name] = layer
-        elif voter.unknown_votes or overlap(layer.box, around) is not None:
+        elif voter.unknown_votes or layer.box.overlap(around) is not None:
             found[name] = voter.prepare(around, layer.on)
     return found
 
@@ -434,10 +427,9 @@ def warp_onto(
         transform: maps the grid's map frame into the lattice's, metres.
         box: cells of it; may be empty.
     """
-    shape = (box.height, box.width)
     if box.area == 0:
-        return np.zeros(shape, dtype=np.int8)
-    own = grid.extent.lattice
+        return np.zeros(box.shape, dtype=np.int8)
+    own = grid.lattice
     into = own.origin.inverse().compose(transform.inverse()).compose(lattice.origin)
     size = lattice.resolution
     corner = into.transform((box.col0 * size, box.row0 * size)) / size
@@ -447,8 +439,8 @@ def warp_onto(
         first = np.ones(1, dtype=np.int64)
         (row,), (col,) = fixed_cells(pose[0], first, first)
         read = CellBox(int(row), int(col), int(row) + box.height, int(col) + box.width)
-        return cut(grid.cells, CellBox(0, 0, *grid.shape), read, UNKNOWN)
-    warped = device.warp(device.upload(grid.cells), pose, shape, UNKNOWN)
+        return read.cut(grid.cells, grid.box, UNKNOWN)
+    warped = device.warp(device.upload(grid.cells), pose, box.shape, UNKNOWN)
     return np.asarray(device.download(warped)[0])
 
 

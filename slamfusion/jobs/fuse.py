@@ -243,7 +243,8 @@ def _fuse_into(
     # Each store is put in place when all are written.
     with ExitStack() as open_stores:
         for vote, path in zip(votes, stores, strict=True):
-            size, origin, shape = vote.voter.resolution, vote.origin, vote.extent.shape
+            lattice, shape = vote.lattice, vote.voter.whole.shape
+            size, origin = lattice.resolution, lattice.origin
             facts = {"reference": vote.group.reference, "inputs": list(vote.group.alignments)}
             arrays = MapStore(
                 path, (outputs.FUSED, AGREEMENT_ARRAY), shape, TILE, size, origin, facts

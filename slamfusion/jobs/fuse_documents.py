@@ -23,7 +23,6 @@ from slamfusion.jobs.inputs import NO_FILES, GivenMaps
 from slamfusion.jobs.outputs import AGREEMENT_END
 from slamfusion.jobs.records import Circumstances
 from slamfusion.json_values import FLAT, flat_or_null
-from slamfusion.vote.tiles import occupied_codes
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -107,7 +106,7 @@ class DoubledWalls:
             for record in result.inputs
         }
         layers = (record.layer for record in result.accepted if record.layer is not None)
-        aligned = ((occupied_codes(layer.codes), layer.box) for layer in layers)
+        aligned = ((layer.on(layer.box) == 1, layer.box) for layer in layers)
         return cls(shares, *fused_doubled_shares(result.fused.cells, aligned))
 
 

@@ -277,13 +277,8 @@ def shown_cells(
     """
     box = box or crop_box(codes != -1)
     longest = _LONGEST_SIDE_TURNED if origin.yaw_rad else _LONGEST_SIDE_CELLS
-    factor = max(1, math.ceil(max(box.height, box.width) / longest))
-    cut = np.full((box.height, box.width), -1, dtype=np.int8)
-    row0, col0 = max(box.row0, 0), max(box.col0, 0)
-    row1, col1 = min(box.row1, codes.shape[0]), min(box.col1, codes.shape[1])
-    cut[row0 - box.row0 : row1 - box.row0, col0 - box.col0 : col1 - box.col0] = codes[
-        row0:row1, col0:col1
-    ]
+    factor = max(1, math.ceil(max(box.shape) / longest))
+    cut = box.cut(codes, CellBox(0, 0, *codes.shape), -1)
     # Rows and columns that fill the last block repeat its edge.
     height, width = (math.ceil(side / factor) for side in cut.shape)
     padding = ((0, height * factor - cut.shape[0]), (0, width * factor - cut.shape[1]))
@@ -322,7 +317,7 @@ def place_extent(poses: F64, grid: OccupancyGrid | None) -> Bbox:
         return box_of(poses)
     box = crop_box(grid.cells != -1)
     corner = box_origin(grid.origin, grid.resolution, box)
-    return grown(box_of(poses), cells_extent((box.height, box.width), grid.resolution, corner))
+    return grown(box_of(poses), cells_extent(box.shape, grid.resolution, corner))
 
 
 def draw_grid(axes: Axes, grid: OccupancyGrid | None) -> None:

@@ -1,4 +1,4 @@
-"""``Lattice``: where the cells of a grid may lie, and ``Extent``: which of them a grid covers."""
+"""``Lattice``: where the cells of a grid may lie."""
 
 from __future__ import annotations
 
@@ -54,34 +54,16 @@ class Lattice:
         high = np.ceil(own.max(axis=0) - 1e-6).astype(int)
         return CellBox(int(low[1]), int(low[0]), int(high[1]), int(high[0]))
 
-
-@dataclass(frozen=True)
-class Extent:
-    """The cells of a lattice that a grid covers: ``shape`` rows and columns from the first cell."""
-
-    lattice: Lattice
-    shape: tuple[int, int]
-
-    @property
-    def box(self) -> CellBox:
-        """The cells."""
-        return CellBox(0, 0, *self.shape)
-
-    def on(self, lattice: Lattice, transform: Pose2) -> CellBox:
-        """Return the cells of another lattice that hold all of the grid; see ``Lattice.box_of``."""
-        return lattice.box_of(self.box, self.lattice, transform)
-
     def area_outside(
-        self, grid: OccupancyGrid, transform: Pose2, thresholds: NormalizeConfig
+        self, box: CellBox, grid: OccupancyGrid, transform: Pose2, thresholds: NormalizeConfig
     ) -> float:
-        """Return the area of a grid's known cells outside of these cells, square metres."""
-        height, width = self.shape
-        into = self.lattice.origin.inverse().compose(transform)
+        """Return the area of a grid's known cells outside of a box of cells, square metres."""
+        into = self.origin.inverse().compose(transform)
         count = 0
         for part in row_parts(grid.cells.shape):
             rows, cols = np.nonzero(trinary_cells(grid.cells[part], thresholds) >= 0)
             centres = into.transform(grid.cell_centres(rows + part.start, cols))
-            x, y = centres.T / self.lattice.resolution
-            is_inside = (x >= 0.0) & (x < width) & (y >= 0.0) & (y < height)
+            x, y = centres.T / self.resolution
+            is_inside = (x >= box.col0) & (x < box.col1) & (y >= box.row0) & (y < box.row1)
             count += len(rows) - int(np.count_nonzero(is_inside))
         return count * grid.resolution**2

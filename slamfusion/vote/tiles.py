@@ -29,7 +29,6 @@ from slamfusion.vote.agreement import (
     local_weights,
     trust_of,
 )
-from slamfusion.vote.boxes import cut, grown_inside, moved, overlap, slices
 from slamfusion.vote.walls import codes_on, margin_cells, same_wall_cells
 
 # Added to the cell of an input where it voted and was outvoted.
@@ -57,32 +56,25 @@ class GridLayer:
     @classmethod
     def of(cls, aligned: I8, dissent: B8) -> GridLayer:
         """Take what an input shows on all cells, and where it was outvoted; both (H, W)."""
-        height, width = aligned.shape
-        box = CellBox(0, 0, height, width)
-        return cls((height, width), box, aligned + OUTVOTED * dissent.view(np.int8))
+        box = CellBox(0, 0, *aligned.shape)
+        return cls(box.shape, box, aligned + OUTVOTED * dissent.view(np.int8))
 
     def inside(self, box: CellBox) -> GridLayer:
         """Return the layer on a box of its lattice, from whose first cell its own is counted."""
-        own = overlap(self.box, box) or self.box
-        codes = self.codes[slices(own, self.box.row0, self.box.col0)]
-        shape = box.height, box.width
-        return GridLayer(shape, moved(own, -box.row0, -box.col0), codes)
-
-    @property
-    def cells(self) -> I8:
-        """(h, w) int8 in {-1, 0, 1} of the box."""
-        return _plain(self.codes)
+        own = self.box.overlap(box) or self.box
+        codes = self.codes[own.slices(self.box)]
+        return GridLayer(box.shape, own.moved(-box.row0, -box.col0), codes)
 
     def on(self, box: CellBox) -> I8:
         """Return its cells on a box of the lattice, unknown outside of its own."""
-        return _plain(cut(self.codes, self.box, box, UNKNOWN))
+        return _plain(box.cut(self.codes, self.box, UNKNOWN))
 
     def note(self, tile: CellBox, is_outvoted: B8) -> None:
         """Note where the input was outvoted in a tile; (h, w) of the tile."""
-        own = overlap(self.box, tile)
+        own = self.box.overlap(tile)
         if own is not None:
-            codes = self.codes[slices(own, self.box.row0, self.box.col0)]
-            codes[is_outvoted[slices(own, tile.row0, tile.col0)]] += OUTVOTED
+            codes = self.codes[own.slices(self.box)]
+            codes[is_outvoted[own.slices(tile)]] += OUTVOTED
 
     def aligned(self) -> I8:
         """Return what it shows on all cells, (H, W) int8 in {-1, 0, 1}."""
@@ -91,13 +83,8 @@ class GridLayer:
     def dissent(self) -> B8:
         """Return where it was outvoted, (H, W) bool."""
         whole = np.zeros(self.shape, dtype=np.bool_)
-        whole[slices(self.box, 0, 0)] = self.codes > 1
+        whole[self.box.slices()] = self.codes > 1
         return whole
-
-
-def occupied_codes(codes: I8) -> B8:
-    """Return which codes of a layer are of occupied cells."""
-    return np.asarray((codes == 1) | (codes == 1 + OUTVOTED))
 
 
 def _plain(codes: I8) -> I8:
@@ -204,21 +191,21 @@ class TileVoter:
             down(box.row1 + side - 1, row),
             down(box.col1 + side - 1, col),
         )
-        return overlap(grown, self.whole) or box
+        return grown.overlap(self.whole) or box
 
     def around(self, tile: CellBox) -> CellBox:
         """Return the cells that decide a tile; with ``consensus`` its blocks and the next."""
         if not self.weighs:
             return tile
         reach = max(1 << self.shift, same_wall_cells(self.resolution))
-        return self.aligned(grown_inside(tile, reach, self.whole))
+        return self.aligned(tile.grown_inside(reach, self.whole))
 
     def reading(self, tile: CellBox) -> CellBox:
         """Return the cells of the inputs that have a say in a tile."""
         around = self.around(tile)
         if not self.weighs:
             return around
-        return grown_inside(around, margin_cells(self.resolution), self.whole)
+        return around.grown_inside(margin_cells(self.resolution), self.whole)
 
     def prepare(self, box: CellBox, read: Callable[[CellBox], I8]) -> I8 | U8:
         """Return the cells that ``read`` returns on a box, as the other functions take them."""
@@ -233,7 +220,7 @@ class TileVoter:
         if len(shown) > 1:
             at = np.ix_(*[[self.names.index(name) for name in shown]] * 2)
             wide = self.around(tile)
-            part = slices(tile, wide.row0, wide.col0)
+            part = tile.slices(wide)
             found = count_walls([codes[part].view(np.uint8) for codes in shown.values()], 31)
             for sums, own in zip(total, found.total(), strict=True):
                 sums[at] = own
@@ -268,8 +255,7 @@ class TileVoter:
         worst: dict[str, tuple[int, int, int]] = {}
         if not self.weighs or self.trust is None:
             grids = [
-                np.ascontiguousarray(own[slices(tile, wide.row0, wide.col0)]).view(np.int8)
-                for own in shown.values()
+                np.ascontiguousarray(own[tile.slices(wide)]).view(np.int8) for own in shown.values()
             ]
             votes = device.vote_majority(grids, unknown_votes=self.unknown_votes)
         else:
@@ -279,17 +265,17 @@ class TileVoter:
             weights, ranks = local_weights(counts, trust, self.resolution)
             # Walls up to here affect a cell of the tile.
             reach = same_wall_cells(self.resolution)
-            box = grown_inside(tile, reach, wide)
+            box = tile.grown_inside(reach, wide)
             inner = (slice(None), *self.blocks(box, wide))
             votes = device.vote_walls(
-                [np.ascontiguousarray(c[slices(box, wide.row0, wide.col0)]) for c in codes],
+                [np.ascontiguousarray(c[box.slices(wide)]) for c in codes],
                 np.ascontiguousarray(weights[inner]),
                 np.ascontiguousarray(ranks[inner]),
                 trust.weights,
                 reach=reach,
                 shift=self.shift,
                 phase=self.phase(box),
-            ).on(slices(tile, box.row0, box.col0))
+            ).on(tile.slices(box))
             worst = self.worst(wide, counts, trust)
         return DecidedTile(
             votes.fused, votes.agreement, votes.phantom_cells, tuple(shown), votes.dissent, worst

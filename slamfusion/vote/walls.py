@@ -25,7 +25,6 @@ from slamfusion.compute.layout import (
 )
 from slamfusion.geometry import B8, I8, U8
 from slamfusion.grid import CellBox
-from slamfusion.vote.boxes import grown_inside, slices
 
 # Distance in metres between the same wall in two good maps of one place.
 TOLERANCE_M = 0.08
@@ -74,9 +73,9 @@ def wall_codes(cells: I8, resolution: float) -> U8:
 
 def codes_on(box: CellBox, whole: CellBox, resolution: float, read: Callable[[CellBox], I8]) -> U8:
     """Return ``wall_codes`` of a box of ``whole``; ``read`` returns its cells."""
-    wide = grown_inside(box, margin_cells(resolution), whole)
+    wide = box.grown_inside(margin_cells(resolution), whole)
     codes = wall_codes(read(wide), resolution)
-    return np.ascontiguousarray(codes[slices(box, wide.row0, wide.col0)])
+    return np.ascontiguousarray(codes[box.slices(wide)])
 
 
 def _codes_of_strip(cells: I8, resolution: float) -> U8:

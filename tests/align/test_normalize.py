@@ -20,8 +20,8 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.config import NormalizeConfig
 from slamfusion.errors import GridError
 from slamfusion.geometry import Pose2
-from slamfusion.grid import OccupancyGrid, trinary_cells
-from slamfusion.vote.lattice import Extent, Lattice
+from slamfusion.grid import CellBox, OccupancyGrid, trinary_cells
+from slamfusion.vote.lattice import Lattice
 from tests.fusion.drawings import draw, picture_of, random_grid
 from tests.support.examples import examples
 
@@ -161,17 +161,17 @@ def test_specks_count_as_cells_but_not_as_walls_to_align(device: ComputeDevice) 
 def test_the_area_outside_counts_known_cells_alone() -> None:
     """A row of five cells, 0.5 m each, is turned to the north: two of its known cells stick out."""
     row = OccupancyGrid(np.array([[0, 50, -1, 0, 100]], dtype=np.int8), 0.5)
-    box = Extent(Lattice(0.5, Pose2(-1.0, 0.0, 0.0)), (3, 4))
-    area = box.area_outside(row, Pose2(0.0, 0.0, math.pi / 2), NormalizeConfig())
-    assert area == pytest.approx(2 * 0.25)
-    assert box.area_outside(row, Pose2(-1.0, 0.0, 0.0), NormalizeConfig()) == pytest.approx(0.25)
+    lattice = Lattice(0.5, Pose2(-1.0, 0.0, 0.0))
+    for pose, count in ((Pose2(0.0, 0.0, math.pi / 2), 2), (Pose2(-1.0, 0.0, 0.0), 1)):
+        area = lattice.area_outside(CellBox(0, 0, 3, 4), row, pose, NormalizeConfig())
+        assert area == pytest.approx(count * 0.25)
 
 
 def test_an_extent_holds_every_corner_of_a_turned_grid(device: ComputeDevice) -> None:
     inner = normalize_grid(OccupancyGrid(random_grid(2).cells, 0.1, TURNED), 0.1, DEFAULTS, device)
     outer = normalize_grid(random_grid(4), 0.1, DEFAULTS, device)
     motion = Pose2(4.0, -1.0, 1.1)
-    box = inner.extent.on(outer.extent.lattice, motion)
+    box = inner.on(outer.lattice, motion)
     rows, cols = np.indices(inner.shape).reshape(2, -1)
     landed = motion.transform(inner.grid.cell_centres(rows, cols))
     row, col = outer.grid.cell_indices(landed)

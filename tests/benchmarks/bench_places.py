@@ -93,7 +93,7 @@ def draw_pair(
     height, width = reference.shape
     margin = max(height, width) // 4
     box = CellBox(-margin, -margin, height + margin, width + margin)
-    lattice = reference.grid.extent.lattice
+    lattice = reference.grid.lattice
     own = np.pad(reference.grid.cells, margin, constant_values=-1)
     other = warp_onto(moving.grid, alignment.transform, lattice, box, device)
     picture = np.full((*own.shape, 3), 255, dtype=np.uint8)

@@ -31,7 +31,7 @@ def both_votes(
     whole = voted(places, device, **vote)
     inputs = placed(places, device, **vote)
     ready = packed(inputs, device)
-    shape = ready.extent.shape
+    shape = ready.voter.whole.shape
     fused, agreement = np.full(shape, -1, np.int8), np.full(shape, -1, np.int8)
     phantom_cells = 0
     for tile, decided in ready.each(partial(decide_tile, device=device), "vote"):
@@ -42,7 +42,7 @@ def both_votes(
         phantom_cells += decided.phantom_cells
     fused[fused == 1] = 100
     in_memory = whole.fused.cells, whole.agreement.cells, whole.phantom_cells, whole.fused.origin
-    return in_memory, (fused, agreement, phantom_cells, ready.origin)
+    return in_memory, (fused, agreement, phantom_cells, ready.lattice.origin)
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,6 @@ from slamfusion.fusion import FusionResult
 from slamfusion.geometry import Pose2
 from slamfusion.grid import CellBox, OccupancyGrid
 from slamfusion.vote.agreement import Trust
-from slamfusion.vote.boxes import slices
 from slamfusion.vote.tiles import TileVoter
 from tests.fusion.test_lattice_vote import SIZE, voted
 
@@ -85,7 +84,7 @@ def shown_by(
     """Return what maps that cover the whole of a vote show around a tile."""
 
     def read(cells: I8, box: CellBox) -> I8:
-        return np.ascontiguousarray(cells[slices(box, voter.whole.row0, voter.whole.col0)])
+        return np.ascontiguousarray(cells[box.slices(voter.whole)])
 
     around = voter.around(tile)
     return {name: voter.prepare(around, partial(read, cells)) for name, cells in maps.items()}

@@ -15,7 +15,6 @@ from slamfusion.compute.votes import Votes
 from slamfusion.config import FusionMode, VoteConfig
 from slamfusion.errors import ConfigError, GridError
 from slamfusion.grid import CellBox
-from slamfusion.vote.boxes import slices
 from slamfusion.vote.tiles import TileVoter, check_votes, sum_counts, tiles_of
 from slamfusion.vote.walls import wall_codes
 from tests.support.examples import examples
@@ -192,7 +191,7 @@ def test_tiles_are_the_whole_once_cut_at_multiples_of_their_side(
     whole = CellBox(*corner, corner[0] + shape[0], corner[1] + shape[1])
     times = np.zeros(shape, dtype=int)
     for tile in tiles_of(whole, side):
-        times[slices(tile, *corner)] += 1
+        times[tile.slices(whole)] += 1
         for cell, start in zip((tile.row0, tile.col0), corner, strict=True):
             assert cell == start or cell % side == 0
     assert (times == 1).all()
@@ -225,7 +224,7 @@ def test_tiles_decide_what_the_whole_decides(
     for tile in tiles:
         found = voter.decide(tile, shown_by(voter, tile, maps), NumpyDevice())
         assert found is not None
-        window = slices(tile, 0, 0)
+        window = tile.slices()
         assert np.array_equal(found.fused, wanted.fused[window])
         assert np.array_equal(found.agreement, wanted.agreement[window])
         out, wanted_out = dict(found.outvoted()), dict(wanted.outvoted())

@@ -17,7 +17,6 @@ from slamfusion.compute.layout import FIXED_ONE
 from slamfusion.config import NormalizeConfig
 from slamfusion.geometry import Pose2
 from slamfusion.grid import UNKNOWN, CellBox, OccupancyGrid, known_box
-from slamfusion.vote.boxes import cut, hull, moved, overlap, padded, slices
 from slamfusion.vote.lattice import SAME_RESOLUTION, Lattice
 
 I8 = npt.NDArray[np.int8]
@@ -54,7 +53,7 @@ class Layer:
     ) -> Layer:
         """Measure cells whose first has these indices on the lattice."""
         box = known_box(cells)
-        known = None if box is None else moved(box, row, col)
+        known = None if box is None else box.moved(row, col)
         walls = int(np.count_nonzero(cells >= math.ceil(thresholds.occupied_percent)))
         return cls(cells, lattice, row, col, known, walls)
 
@@ -66,9 +65,9 @@ class Layer:
 
     def window(self, box: CellBox) -> I8:
         """Return the cells of a box of the lattice; unknown outside of the layer."""
-        if overlap(box, self.box) == box:
-            return self.cells[slices(box, self.row, self.col)]
-        return cut(self.cells, self.box, box, UNKNOWN)
+        if box.overlap(self.box) == box:
+            return self.cells[box.slices(self.box)]
+        return box.cut(self.cells, self.box, UNKNOWN)
 
 
 def lay_out(
@@ -122,13 +121,13 @@ def carry(
     pose = fixed_poses((into.x / size, into.y / size, into.yaw_rad))[0]
     cos, sin = int(pose[0]), int(pose[1])
     source = layer.lattice.box_of(box, lattice, away)
-    needed = overlap(padded(source, 2), layer.box)
+    needed = source.padded(2).overlap(layer.box)
     if needed is None:
-        return np.full((box.height, box.width), UNKNOWN, dtype=np.int8)
+        return np.full(box.shape, UNKNOWN, dtype=np.int8)
     pose[2] += 2 * (cos * box.col0 - sin * box.row0 - FIXED_ONE * needed.col0)
     pose[3] += 2 * (sin * box.col0 + cos * box.row0 - FIXED_ONE * needed.row0)
     cells = device.upload(np.ascontiguousarray(layer.window(needed)))
-    warped = device.warp(cells, pose[None], (box.height, box.width), UNKNOWN)
+    warped = device.warp(cells, pose[None], box.shape, UNKNOWN)
     return np.asarray(device.download(warped)[0])
 
 
@@ -167,14 +166,14 @@ def compare(old: Layer, new: Layer, thresholds: NormalizeConfig, device: Compute
     occupied = math.ceil(thresholds.occupied_percent)
     box = old.box
     if new.lattice == old.lattice:
-        box = hull(old.box, new.box)
+        box = old.box.hull(new.box)
         # Of maps 10 km apart the cells between them would take gigabytes.
         if box.area <= SPARE_SHARE * (old.box.area + new.box.area):
             differs = known_box((old.window(box) != new.window(box)).view(np.int8) - np.int8(1))
             if differs is None:
                 return Change(None, 0, walls, 0, walls)
-            box = moved(differs, box.row0, box.col0)
-        near = padded(box, 1)
+            box = differs.moved(box.row0, box.col0)
+        near = box.padded(1)
         if near.area > SPARE_SHARE * (old.box.area + new.box.area):
             return Change(box, walls + new.walls, 0, 0, walls)  # nothing stands
         before, after = old.window(near), new.window(near)

@@ -26,7 +26,6 @@ from slamfusion.geometry import Pose2
 from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, CellBox, OccupancyGrid, trinary_cells
 from slamfusion.io.files import check_memory
 from slamfusion.vote.agreement import Trust, WallCounts, count_walls, trust_of
-from slamfusion.vote.boxes import cut, grown_inside, hull, joined, moved, overlap, padded, slices
 from slamfusion.vote.lattice import Lattice
 from slamfusion.vote.tiles import TileVoter
 from slamfusion.vote.walls import codes_on, margin_cells
@@ -37,6 +36,8 @@ I8 = npt.NDArray[np.int8]
 CELL_BYTES, LAYER_BYTES = 6, 2
 # Fused layers of at least this number of cells shrink if this share of them is enough.
 SHRUNK_CELLS, SHRUNK_SHARE = 1 << 22, 0.25
+# Cells between two boxes that are sooner voted on again than left out.
+SPARE_CELLS = 1 << 16
 # Number of voters from which a majority is more than one input.
 MAJORITY = 3
 
@@ -143,7 +144,7 @@ class FusedLayers:
         if not boxes:
             return None
         parts = [self.vote(names, part) for part in joined(boxes)]
-        return moved(reduce(hull, parts), -self.box.row0, -self.box.col0)
+        return reduce(CellBox.hull, parts).moved(-self.box.row0, -self.box.col0)
 
     def _make_room(self, track: Input, reference: str) -> bool:
         """Grow the layers to hold an input's new cells; return whether they grew."""
@@ -160,8 +161,8 @@ class FusedLayers:
         boxes = [box for box in found if box is not None]
         if self.box is None or self.box.area < SHRUNK_CELLS or not boxes:
             return False
-        needed = reduce(hull, boxes)
-        if needed.area > SHRUNK_SHARE * self.box.area or hull(self.box, needed) != self.box:
+        needed = reduce(CellBox.hull, boxes)
+        if needed.area > SHRUNK_SHARE * self.box.area or self.box.hull(needed) != self.box:
             return False
         self._resize(needed)
         return True
@@ -178,7 +179,7 @@ class FusedLayers:
         """Record the cells of an input's lattice that its new map changed."""
         laid = self._laid.get(name)
         if laid is not None and changed is not None:
-            laid.changed = changed if laid.changed is None else hull(laid.changed, changed)
+            laid.changed = changed if laid.changed is None else laid.changed.hull(changed)
 
     def _lay(self, track: Input) -> CellBox | None:
         """Update an input's layer; return the changed cells of the lattice."""
@@ -198,9 +199,9 @@ class FusedLayers:
         Raises:
             MemoryBudgetError: the grown layers would not fit; nothing was changed.
         """
-        if self.box is not None and hull(self.box, box) == self.box:
+        if self.box is not None and self.box.hull(box) == self.box:
             return False
-        grown = box if self.box is None else hull(self.box, box)
+        grown = box if self.box is None else self.box.hull(box)
         room = grown.area * (CELL_BYTES + LAYER_BYTES * len(self._laid))
         check_memory(room, f"a fused map of {grown.height} x {grown.width} cells", name)
         self._resize(grown)
@@ -209,12 +210,12 @@ class FusedLayers:
     def _resize(self, box: CellBox) -> None:
         """Change the box; new cells are unknown."""
         before, self.box = self.box or CellBox(0, 0, 0, 0), box
-        self._fused = cut(self._fused, before, box, UNKNOWN)
-        self._agreement = cut(self._agreement, before, box, UNKNOWN)
+        self._fused = box.cut(self._fused, before, UNKNOWN)
+        self._agreement = box.cut(self._agreement, before, UNKNOWN)
         for laid in self._laid.values():
-            laid.cells = cut(laid.cells, before, box, UNKNOWN)
-            laid.walls = cut(laid.walls, before, box, 0)
-            laid.covered = None if laid.covered is None else overlap(laid.covered, box)
+            laid.cells = box.cut(laid.cells, before, UNKNOWN)
+            laid.walls = box.cut(laid.walls, before, 0)
+            laid.covered = None if laid.covered is None else laid.covered.overlap(box)
 
     def restore(self, state: LiveState) -> None:
         """Start with the last fused map of an earlier run, which has no layers yet."""
@@ -238,37 +239,37 @@ class FusedLayers:
         if box is None or layer.known is None:
             raise ValueError("grow the layers before a map with known cells is laid on them")
         if name not in self._laid:
-            shape = box.height, box.width
+            shape = box.shape
             unknown = np.full(shape, UNKNOWN, dtype=np.int8)
             self._laid[name] = LaidInput(unknown, np.zeros(shape, dtype=np.uint8))
         laid = self._laid[name]
         before = laid.covered
         laid.place, laid.changed = (layer.lattice, transform), None
-        now = overlap(self.fixed.box_of(layer.known, layer.lattice, transform), box)
+        now = self.fixed.box_of(layer.known, layer.lattice, transform).overlap(box)
         if changed is None:
             target = now
             if before is not None:
-                laid.cells[slices(before, box.row0, box.col0)] = UNKNOWN
-            touched = now if before is None or now is None else hull(before, now)
+                laid.cells[before.slices(box)] = UNKNOWN
+            touched = now if before is None or now is None else before.hull(now)
             touched = touched or before
         else:
             near = self.fixed.box_of(changed, layer.lattice, transform)
-            target = touched = overlap(padded(near, 1), box)
+            target = touched = near.padded(1).overlap(box)
         laid.covered = now
         if before is not None and now is not None and changed is not None:
-            laid.covered = hull(before, now)
+            laid.covered = before.hull(now)
         if target is not None:
             cells = carry(layer, transform, self.fixed, target, self.device)
             classes = np.asarray(cv2.LUT(cells.view(np.uint8), self._trinary)).view(np.int8)
-            laid.cells[slices(target, box.row0, box.col0)] = classes
+            laid.cells[target.slices(box)] = classes
         if touched is not None and self.config.vote.mode == "consensus":
 
             def read(part: CellBox) -> I8:
-                return np.ascontiguousarray(laid.cells[slices(part, box.row0, box.col0)])
+                return np.ascontiguousarray(laid.cells[part.slices(box)])
 
             size = self.fixed.resolution
-            near = grown_inside(touched, margin_cells(size), box)
-            laid.walls[slices(near, box.row0, box.col0)] = codes_on(near, box, size, read)
+            near = touched.grown_inside(margin_cells(size), box)
+            laid.walls[near.slices(box)] = codes_on(near, box, size, read)
         return touched
 
     def lift(self, name: str) -> None:
@@ -298,10 +299,10 @@ class FusedLayers:
             self.bent = bent_maps(trust, [voter.worst(whole, all_counts, trust)], self.fixed)
             is_same = trust.decides_like(self._trust)
             reach = margin_cells(voter.resolution) + (1 << voter.shift)
-            box = voter.aligned(grown_inside(box, reach, whole)) if is_same else whole
+            box = voter.aligned(box.grown_inside(reach, whole)) if is_same else whole
             counts = all_counts.part(voter.blocks(voter.around(box), whole))
         self._trust = voter.trust
-        window = slices(voter.around(box), whole.row0, whole.col0)
+        window = voter.around(box).slices(whole)
         laid = {name: self._laid[name] for name in names}
         shown = {
             name: (own.walls if voter.weighs else own.cells)[window] for name, own in laid.items()
@@ -309,7 +310,7 @@ class FusedLayers:
         decided = voter.decide(box, shown, self.device, counts)
         if decided is None:
             return box
-        window = slices(box, whole.row0, whole.col0)
+        window = box.slices(whole)
         self._fused[window] = decided.fused
         self._agreement[window] = decided.agreement
         return box
@@ -319,8 +320,8 @@ class FusedLayers:
         whole, key = voter.whole, (voter.names, voter.whole)
         if self._counts is None or key != self._counted:
             changed = whole
-        box = voter.aligned(grown_inside(changed, margin_cells(voter.resolution), whole))
-        window = slices(box, whole.row0, whole.col0)
+        box = voter.aligned(changed.grown_inside(margin_cells(voter.resolution), whole))
+        window = box.slices(whole)
         codes = [self._laid[name].walls[window] for name in voter.names]
         found = count_walls(codes, voter.shift, voter.phase(box))
         if self._counts is None or box == whole:
@@ -351,3 +352,21 @@ class FusedLayers:
             OccupancyGrid(cells, size, origin, "fused"),
             OccupancyGrid(agreement, size, origin, "agreement"),
         )
+
+
+def joined(boxes: Sequence[CellBox]) -> list[CellBox]:
+    """Return boxes that hold all the cells of some, joined where hardly any cell lies between."""
+    out: list[CellBox] = []
+    for box in boxes:
+        grown = box
+        # A box that took another in may reach a third one.
+        while near := [
+            other
+            for other in out
+            if grown.hull(other).area <= grown.area + other.area + SPARE_CELLS
+        ]:
+            for other in near:
+                out.remove(other)
+                grown = grown.hull(other)
+        out.append(grown)
+    return out

@@ -16,7 +16,6 @@ from slamfusion.fusion.live.voting import FusedLayers
 from slamfusion.geometry import Pose2
 from slamfusion.grid import CellBox, trinary_cells
 from slamfusion.io import files
-from slamfusion.vote.boxes import slices
 from slamfusion.vote.lattice import Lattice
 from slamfusion.vote.tiles import TileVoter
 from tests.fusion.drawings import random_cells
@@ -52,7 +51,7 @@ def test_boxes_voted_on_one_by_one_are_one_vote(
     assert fused.origin == Pose2(1.0, 2.0, 0.2)
     # A part of one map changes, and nothing else is laid or counted again.
     changed = CellBox(20, 5, 27, 15)
-    full[1][slices(changed, 0, 0)] = random_cells(4, 40, 40)[:7, :10]
+    full[1][changed.slices()] = random_cells(4, 40, 40)[:7, :10]
     touched = layers.lay("b", Layer(full[1], layers.lattice, 0, 0, box, 0), Pose2(), changed)
     assert touched is not None
     layers.vote("abc", touched)

@@ -4,18 +4,25 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig, LiveConfig
 from slamfusion.fusion.live.inputs import Input, Reason
-from slamfusion.fusion.live.voting import FusedLayers
+from slamfusion.fusion.live.voting import SPARE_CELLS, FusedLayers, joined
 from slamfusion.geometry import Pose2
 from slamfusion.grid import CellBox, OccupancyGrid
 from slamfusion.io import files
 from slamfusion.vote.lattice import Lattice
 from tests.fusion.drawings import random_cells
+from tests.support.examples import examples
 
 SIZE = 0.1
+# Of up to 1200 cells a side.
+BOX = st.tuples(
+    st.integers(-9, 40), st.integers(-9, 40), st.integers(1, 12), st.integers(1, 12)
+).map(lambda n: CellBox(100 * n[0], 100 * n[1], 100 * (n[0] + n[2]), 100 * (n[1] + n[3])))
 
 
 def voter(name: str, x: float, device: ComputeDevice) -> Input:
@@ -78,3 +85,13 @@ def test_a_voter_that_memory_has_no_room_for_is_refused_and_the_others_vote(
     assert voting.names == ("a",)
     assert not inputs[1].votes
     assert "b: a fused map" in inputs[1].reason
+
+
+@settings(max_examples=examples(60), deadline=None)
+@given(boxes=st.lists(BOX, min_size=1, max_size=6))
+def test_boxes_are_joined_where_hardly_a_cell_lies_between(boxes: list[CellBox]) -> None:
+    out = joined(boxes)
+    assert joined(out) == out
+    assert all(any(box.overlap(whole) == box for whole in out) for box in boxes)
+    most = sum(box.area for box in boxes) + SPARE_CELLS * len(boxes)
+    assert sum(box.area for box in out) <= most
