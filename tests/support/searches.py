@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 from typing import Any
 
-from slamfusion.align import answer, hypotheses
+from slamfusion.align import hypotheses
 from slamfusion.align import search as searching
 from slamfusion.align.features import GridFeatures
 from slamfusion.align.pair import Pair
@@ -14,7 +14,7 @@ from slamfusion.align.shifts import SearchWindow
 from slamfusion.config import AlignConfig
 
 # Modules that ask for a search by its name.
-CALLERS = (searching, answer, hypotheses)
+CALLERS = (searching, hypotheses)
 
 
 class RememberedSearches:
