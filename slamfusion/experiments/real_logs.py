@@ -26,7 +26,7 @@ from slamfusion.jobs.cases import CaseFile, place_files
 from slamfusion.jobs.inputs import Warn, log_warning
 from slamfusion.jobs.outputs import DRAWN
 from slamfusion.jobs.results import map_inputs
-from slamfusion.jobs.saved_maps import SavedMaps, free_name
+from slamfusion.jobs.run_files import SavedMaps, free_name
 from slamfusion.slam.common.mapper import MapJob
 from slamfusion.slam.graph.node_map import Node, NodeMap
 from slamfusion.slam.registry import BUILT_IN, settings_of

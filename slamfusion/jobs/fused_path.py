@@ -5,9 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from slamfusion.align.records import FusionResult
 from slamfusion.compute import ComputeDevice
+from slamfusion.errors import TrajectoryError
 from slamfusion.evaluation.measured import MeasuredPath
+from slamfusion.evidence.beams import JudgedScans, cover_stamps
 from slamfusion.evidence.fused_path import fuse_paths, trust_in_paths
 from slamfusion.evidence.path_frames import moved_onto
 from slamfusion.evidence.predictive import PathEvidence
@@ -15,6 +19,10 @@ from slamfusion.evidence.refined_path import Refinement, refine_borne_out
 from slamfusion.jobs.outputs import FUSED
 from slamfusion.slam.registry import loop_closers
 from slamfusion.trajectory import Trajectory
+
+# All paths of a drive are scored on the scans that each has a pose for; that of a saved map must
+# leave at least this share of them.
+LEAST_COVERED = 0.5
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -62,3 +70,15 @@ def fuse_weighed_paths(
     if evidence is not None:
         path, evidence, refinement = refine_borne_out(evidence, path, device)
     return FusedPath(trajectory=path, trust=trust, refinement=refinement), evidence
+
+
+def path_at_scans(path: Trajectory, scans: JudgedScans) -> Trajectory:
+    """Return a path's poses at the drive's scans; ``TrajectoryError`` if too few have one."""
+    poses, _ = cover_stamps(path, scans)
+    own = np.isfinite(poses[:, 0])
+    if own.mean() < LEAST_COVERED:
+        raise TrajectoryError(
+            f"it has poses for {own.mean():.0%} of the scans, wanted "
+            f"{LEAST_COVERED:.0%}: all paths are judged where each has one; give a longer path"
+        )
+    return Trajectory(scans.stamps_s[own], poses[own], path.name)

@@ -25,11 +25,10 @@ from slamfusion.evidence.recommendation import RankedPath, Recommendation, recom
 from slamfusion.fusion.groups import LEAST_FUSED
 from slamfusion.io import open_log, read_trajectory, write_tum
 from slamfusion.jobs.cases import Placed
-from slamfusion.jobs.fused_path import FusedPath, fuse_weighed_paths
+from slamfusion.jobs.fused_path import FusedPath, fuse_weighed_paths, path_at_scans
 from slamfusion.jobs.inputs import LogFiles, Warn, as_path, device_for, distinct_names, log_warning
 from slamfusion.jobs.outputs import FUSED
 from slamfusion.jobs.records import Circumstances, Summaries
-from slamfusion.jobs.saved_maps import path_at_scans
 from slamfusion.json_values import FLAT
 from slamfusion.slam.common.odometry_check import contradictions, laser_fault
 from slamfusion.trajectory import Trajectory

@@ -31,7 +31,7 @@ from slamfusion.jobs.cases import CaseFile
 from slamfusion.jobs.evaluate import evaluate_maps
 from slamfusion.jobs.fuse import AllRequiredError
 from slamfusion.jobs.fuse_documents import DoubledWalls, Evaluation
-from slamfusion.jobs.fused_path import FusedPath, fuse_weighed_paths
+from slamfusion.jobs.fused_path import FusedPath, fuse_weighed_paths, path_at_scans
 from slamfusion.jobs.map_log import measure_run
 from slamfusion.jobs.outputs import DRAWN, FUSED
 from slamfusion.jobs.records import Circumstances
@@ -42,8 +42,8 @@ from slamfusion.jobs.run_files import (
     LogRun,
     RunFiles,
     RunProducer,
+    SavedMaps,
 )
-from slamfusion.jobs.saved_maps import SavedMaps, path_at_scans
 from slamfusion.slam.common.odometry_check import laser_fault
 from slamfusion.slam.registry import BUILT_IN, loop_closers, producer
 from slamfusion.slam.side_by_side import Outcome, SideBySide

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from slamfusion.align.records import Alignment, FusionResult
 from slamfusion.config import FusionMode, RunConfig
-from slamfusion.errors import SlamFusionError
+from slamfusion.errors import ConfigError, SlamFusionError
 from slamfusion.evaluation.doubled_walls import doubled_wall_share
 from slamfusion.evaluation.measured import MeasuredPath
 from slamfusion.evaluation.wall_faces import WallThickness, wall_thickness
@@ -17,8 +17,9 @@ from slamfusion.evidence.predictive import PathEvidence
 from slamfusion.evidence.recommendation import RankedPath, Recommendation
 from slamfusion.fusion.path_check import PathGap
 from slamfusion.grid import OccupancyGrid
-from slamfusion.io import AtomicFiles, save_map, write_tum
+from slamfusion.io import AtomicFiles, read_trajectory, save_map, write_tum
 from slamfusion.jobs import outputs
+from slamfusion.jobs.cases import CaseFile, files_by_case
 from slamfusion.jobs.documents import number, record_bytes
 from slamfusion.jobs.fuse_documents import (
     DoubledWalls,
@@ -27,11 +28,58 @@ from slamfusion.jobs.fuse_documents import (
     left_out_sentences,
 )
 from slamfusion.jobs.fused_path import FusedPath
-from slamfusion.jobs.inputs import LogFiles
+from slamfusion.jobs.inputs import LogFiles, Warn, distinct_names, load_maps
 from slamfusion.jobs.map_log import ProducerResult, write_producer
 from slamfusion.jobs.records import Circumstances
 from slamfusion.json_values import FLAT
+from slamfusion.slam.registry import producer_names
 from slamfusion.trajectory import Trajectory
+
+
+@dataclass(frozen=True)
+class SavedMaps:
+    """Files of saved maps, and of the paths of some of them, by the map's name."""
+
+    files: tuple[Path, ...]
+    names: tuple[str, ...]
+    paths: Mapping[str, Path]
+
+    @classmethod
+    def of(cls, maps: Sequence[str | Path], paths: Sequence[CaseFile]) -> SavedMaps:
+        """Name maps and match paths to them; ``ConfigError``: a path of no map, or two of one."""
+        files = tuple(map(Path, maps))
+        own = distinct_names(files)
+        if paths and not files:
+            message = f"{paths[0].path}: the path needs its map; give it with --inputs MAP"
+            raise ConfigError(message)
+        names = [free_name(name) for name in own]
+        found = files_by_case(own, paths, "--paths")
+        return cls(
+            files,
+            tuple(names),
+            {name: found[key] for key, name in zip(own, names, strict=True) if key in found},
+        )
+
+    def load(
+        self, config: RunConfig, resolution: float | None, warn: Warn
+    ) -> tuple[list[OccupancyGrid], dict[str, Trajectory]]:
+        """Return the maps and the paths, named."""
+        grids = load_maps(self.files, config, resolution=resolution, warn=warn)
+        named = [grid.with_name(name) for grid, name in zip(grids, self.names, strict=True)]
+        paths = {
+            name: replace(read_trajectory(file, config.log), name=name)
+            for name, file in self.paths.items()
+        }
+        return named, paths
+
+
+def free_name(name: str, taken: Collection[str] = ()) -> str:
+    """Return the name of a saved map, changed where a producer or a fused map has it."""
+    return (
+        f"{name} (saved)"
+        if name in {*producer_names(), outputs.FUSED, outputs.DRAWN, *taken}
+        else name
+    )
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -25,7 +25,7 @@ from slamfusion.experiments.runs import Setup
 from slamfusion.geometry import Pose2
 from slamfusion.io import save_map, write_carmen, write_tum
 from slamfusion.jobs.cases import CaseFile
-from slamfusion.jobs.saved_maps import SavedMaps
+from slamfusion.jobs.run_files import SavedMaps
 from slamfusion.slam.registry import BUILT_IN
 from slamfusion.trajectory import Trajectory
 from tests.experiments.drives import room

@@ -21,9 +21,15 @@ from slamfusion.jobs.cases import CaseFile
 from slamfusion.jobs.fused_path import FusedPath
 from slamfusion.jobs.inputs import RUN_DEFAULTS
 from slamfusion.jobs.run import WHOLE, draw_run, fuse_drive, run_log, score_all_paths
-from slamfusion.jobs.run_files import DriveFusion, FailedProducer, LogRun, RunProducer, save_run
+from slamfusion.jobs.run_files import (
+    DriveFusion,
+    FailedProducer,
+    LogRun,
+    RunProducer,
+    SavedMaps,
+    save_run,
+)
 from slamfusion.jobs.run_many import LogTask, outcome
-from slamfusion.jobs.saved_maps import SavedMaps
 from slamfusion.json_values import plain
 from slamfusion.trajectory import Trajectory
 from tests.evidence.rooms import circuit, recorded
