@@ -326,11 +326,7 @@ def save_fused_maps(
             agreement = agreement_stem(path)
             save_map(result.agreement, agreement, mode="raw", image_format=image_format)
         if folder is not None:
-            from slamfusion.report import write_fusion_report  # noqa: PLC0415  (an extra)
-
-            write_fusion_report(
-                fused.in_memory, folder, config=fused.config, evaluations=fused.evaluations
-            )
+            write_fusion_report(fused, folder)
             files.remove(*outputs.report_files(folder / outputs.FAILED))
         write_atomic(outputs.record_file(stem), record_bytes(document))
     if folder is not None:
@@ -338,15 +334,54 @@ def save_fused_maps(
     return document
 
 
+def write_fusion_report(
+    fused: FusedMaps, directory: str | Path, failure: str | None = None
+) -> Path:
+    """Write the report of maps in memory; see ``slamfusion.report.page.write_page``.
+
+    Args:
+        failure: why the result must not be used, e.g. ``--require-all``.
+    """
+    from slamfusion.report import fusion_report, maps, page  # noqa: PLC0415  (an extra)
+
+    result, config = fused.in_memory, fused.config
+    sections = [
+        fusion_report.fused_section(result),
+        *fusion_report.group_sections(result),
+        fusion_report.inputs_section(result, config),
+    ]
+    if fused.evaluations:
+        alignments = [item.alignment for item in fused.evaluations]
+        sections.append(maps.error_section(fused.evaluations, alignments))
+    sections.append(fusion_report.alignment_section(result))
+    sections.append(fusion_report.statistics_section(result, config))
+    banner = fusion_report.fusion_banner(result, failure)
+    facts = fusion_report.fusion_facts(result, fused.evaluations)
+    report = page.Page("SLAMfusion report", banner, facts, sections, config, result.device)
+    return page.write_page(report, directory)
+
+
 def write_failed_fusion(
     error: AlignmentError, config: RunConfig, directory: Path, *, device: str
 ) -> Path:
     """Write the report of maps that were not fused, return its path; an earlier fusion's stays."""
-    from slamfusion.report import write_failure_report, write_fusion_report  # noqa: PLC0415
+    from slamfusion.report import maps, page  # noqa: PLC0415  (an extra)
 
-    folder = outputs.failure_folder(directory, outputs.report_files(directory))
+    folder, pairs = outputs.failure_folder(directory, outputs.report_files(directory)), error.pairs
     if isinstance(error, AllRequiredError) and error.result is not None:
-        return write_fusion_report(error.result, folder, config=config, failure=str(error))
-    return write_failure_report(
-        error.grids, error.pairs, str(error), folder, config=config, device=device
-    )
+        return write_fusion_report(FusedMaps(config, error.result, None), folder, str(error))
+    grids = [grid.classified(config.fusion.normalize) for grid in error.grids]
+    pictures = [maps.input_picture(grid) for grid in grids]
+    statistics = maps.map_statistics(grids) if grids else page.NO_TABLES
+    sections = [page.Section("Inputs", "The maps as they were given.", pictures, statistics)]
+    if pairs:
+        sections.append(maps.pairs_section(grids, pairs))
+        if curves := maps.yaw_pictures(pairs):
+            sections.append(page.Section("Score over yaw", maps.YAW_TEXT, curves))
+    facts = [
+        page.Fact(f"0 of {len(grids)}", "maps fused", "bad"),
+        page.Fact(str(sum(pair.accepted for pair in pairs)), f"of {len(pairs)} pairs accepted"),
+    ]
+    banner = page.Banner("bad", "Nothing was fused", [("", str(error))])
+    report = page.Page("SLAMfusion report", banner, facts, sections, config, device)
+    return page.write_page(report, folder)

@@ -106,7 +106,7 @@ def _facts(run: LogRun, measured: Sequence[MeasuredPath]) -> list[page.Fact]:
         length = f"{item.run.path_length_m:.0f} m in {item.run.duration_s:.0f} s"
         facts.append(page.Fact(length, f"drive, {item.run.scans} scans"))
     if run.fusion.result is not None:
-        facts += fusion_report.fusion_facts(run.fusion.result, len(run.failed))
+        facts += fusion_report.vote_facts(run.fusion.result, len(run.failed))
     if run.path_gaps:
         widest = max(gap.median_m for gap in run.path_gaps)
         what = "between the paths farthest apart in the fused map (median)"

@@ -12,6 +12,3 @@ try:
 except ImportError as _error:
     _message = "the report needs matplotlib; pip install 'slamfusion[report]'"
     raise SlamFusionError(_message) from _error
-
-from slamfusion.report.fusion_report import write_failure_report as write_failure_report
-from slamfusion.report.fusion_report import write_fusion_report as write_fusion_report

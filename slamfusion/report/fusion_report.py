@@ -1,13 +1,12 @@
-"""The report of a fusion: the result, which maps vote, where they are and where they differ."""
+"""The parts of the report of a fusion: which maps vote, where they are and where they differ."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 
 import numpy as np
 
-from slamfusion.align.records import Alignment, FusionResult, InputRecord
+from slamfusion.align.records import FusionResult, InputRecord
 from slamfusion.config import RunConfig
 from slamfusion.evaluation.map_error import MapError
 from slamfusion.grid import CellBox, OccupancyGrid
@@ -18,64 +17,7 @@ from slamfusion.report.layers import fusion_layers
 from slamfusion.trajectory import Trajectory
 
 
-def write_fusion_report(
-    result: FusionResult,
-    directory: str | Path,
-    *,
-    config: RunConfig,
-    evaluations: Sequence[MapError] = (),
-    failure: str | None = None,
-) -> Path:
-    """Write the report of a fusion; see ``write_page``.
-
-    Args:
-        evaluations: errors against a truth, of the inputs, the fused map, or both.
-        failure: why the result must not be used, e.g. ``--require-all``.
-    """
-    sections = [fused_section(result), *group_sections(result), inputs_section(result, config)]
-    if evaluations:
-        sections.append(maps.error_section(evaluations))
-    sections.append(alignment_section(result))
-    sections.append(statistics_section(result, config))
-    banner, facts = _banner(result, failure), _facts(result, evaluations)
-    report = page.Page("SLAMfusion report", banner, facts, sections, config, result.device)
-    return page.write_page(report, directory)
-
-
-def write_failure_report(
-    grids: Sequence[OccupancyGrid],
-    pairs: Sequence[Alignment],
-    reason: str,
-    directory: str | Path,
-    *,
-    config: RunConfig,
-    device: str = "",
-) -> Path:
-    """Write the report of maps that could not be fused: maps, pairs, reason; see ``write_page``."""
-    grids = [grid.classified(config.fusion.normalize) for grid in grids]
-    sections = [
-        page.Section(
-            "Inputs",
-            "The maps as they were given.",
-            [maps.input_picture(grid) for grid in grids],
-            maps.map_statistics(grids) if grids else page.NO_TABLES,
-        )
-    ]
-    if pairs:
-        sections.append(maps.pairs_section(grids, pairs))
-        curves = maps.yaw_pictures(pairs)
-        if curves:
-            sections.append(page.Section("Score over yaw", maps.YAW_TEXT, curves))
-    banner = page.Banner("bad", "Nothing was fused", [("", reason)])
-    facts = [
-        page.Fact(f"0 of {len(grids)}", "maps fused", "bad"),
-        page.Fact(str(sum(pair.accepted for pair in pairs)), f"of {len(pairs)} pairs accepted"),
-    ]
-    report = page.Page("SLAMfusion report", banner, facts, sections, config, device)
-    return page.write_page(report, directory)
-
-
-def _banner(result: FusionResult, failure: str | None) -> page.Banner:
+def fusion_banner(result: FusionResult, failure: str | None) -> page.Banner:
     """Say first which maps vote, and loudest which do not."""
     accepted = ", ".join(record.name for record in result.accepted)
     lines = doubtful_lines(result)
@@ -113,7 +55,7 @@ def _weak(result: FusionResult) -> list[tuple[str, str]]:
     ]
 
 
-def fusion_facts(result: FusionResult, failed: int = 0) -> list[page.Fact]:
+def vote_facts(result: FusionResult, failed: int = 0) -> list[page.Fact]:
     """Return how many maps, without copies, were fused of all and of the failed ones."""
     total, fused = len(result.inputs) - len(result.copies) + failed, len(result.accepted)
     area = float(np.count_nonzero(result.fused.cells != -1)) * result.fused.resolution**2
@@ -128,9 +70,9 @@ def fusion_facts(result: FusionResult, failed: int = 0) -> list[page.Fact]:
     return facts
 
 
-def _facts(result: FusionResult, evaluations: Sequence[MapError]) -> list[page.Fact]:
-    """Return the numbers at the top."""
-    facts = fusion_facts(result)
+def fusion_facts(result: FusionResult, evaluations: Sequence[MapError]) -> list[page.Fact]:
+    """Return the numbers at the top of the report of a fusion of saved maps."""
+    facts = vote_facts(result)
     facts += [
         page.Fact(f"{evaluation.error:.2f}", "error of the fused map [F16]")
         for evaluation in evaluations

@@ -303,22 +303,21 @@ def map_statistics(
 
 
 def error_section(
-    evaluations: Sequence[map_error.MapError], alignments: Sequence[Alignment | None] = ()
+    evaluations: Sequence[map_error.MapError], alignments: Sequence[Alignment | None]
 ) -> Section:
     """Return the errors against one truth as a table and pictures of the difference.
 
     Args:
-        alignments: of each map with the truth, None if it was not moved; may be empty.
+        alignments: of each map with the truth, None if it was not moved.
     """
-    placed = list(alignments) or [None] * len(evaluations)
-    lost = [own is not None and not own.accepted for own in placed]
+    lost = [own is not None and not own.accepted for own in alignments]
     measured = [_best_marked(evaluations, lost, own) for own in (shown_figures, face_figures)]
     return Section(
         "Error against the truth",
         "Each map on the lattice of the truth, over the truth's known box. The error is that of "
         "Fernandes and Alexandre 2016: the root of the summed squared differences with unknown -1, "
         "free 0 and wall 1.",
-        [difference_picture(*pair) for pair in zip(evaluations, placed, strict=True)],
+        [difference_picture(*pair) for pair in zip(evaluations, alignments, strict=True)],
         tables().map_errors(*measured, evaluations[0].tolerance_m),
     )
 

@@ -13,8 +13,9 @@ import pytest
 
 from slamfusion.config import NormalizeConfig, RunConfig
 from slamfusion.evaluation.map_error import compare_to_truth
+from slamfusion.jobs.fuse import FusedMaps, write_fusion_report
+from slamfusion.jobs.fuse_documents import Evaluation
 from slamfusion.palette import AGREED_WALL_RGB, OTHERS, WALL_RGB
-from slamfusion.report import write_fusion_report
 from tests.report.drawn import colours_of, fusion, room
 from tests.support.browser import PIXEL, becomes, browser_page
 
@@ -28,15 +29,11 @@ WALL = (4, 30)
 @pytest.fixture(scope="module")
 def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
     truth = room("truth", 7)
-    errors = [
-        compare_to_truth(room("fused", 0), truth, normalize=NormalizeConfig(), tolerance_m=0.1)
-    ]
-    return write_fusion_report(
-        fusion(rejected_name=NASTY),
-        tmp_path_factory.mktemp("report"),
-        config=RunConfig(),
-        evaluations=errors,
-    )
+    fused = room("fused", 0)
+    error = compare_to_truth(fused, truth, normalize=NormalizeConfig(), tolerance_m=0.1)
+    errors = (Evaluation(**vars(error), aligned=True, alignment=None),)
+    maps = FusedMaps(RunConfig(), fusion(rejected_name=NASTY), None, errors)
+    return write_fusion_report(maps, tmp_path_factory.mktemp("report"))
 
 
 @pytest.fixture(scope="module")

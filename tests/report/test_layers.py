@@ -15,8 +15,8 @@ from slamfusion.config import NormalizeConfig, RunConfig
 from slamfusion.evaluation.map_error import compare_to_truth
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
+from slamfusion.jobs.fuse import FusedMaps, write_fusion_report
 from slamfusion.palette import colours_of
-from slamfusion.report import write_fusion_report
 from slamfusion.report.fusion_report import fused_section
 from slamfusion.report.layers import MOST_CELLS, error_layers, fusion_layers
 from slamfusion.trajectory import Trajectory
@@ -80,7 +80,7 @@ def test_larger_maps_are_pictures_alone_and_the_page_says_so(tmp_path: Path) -> 
     layers = fusion_layers(replace(few, fused=huge, agreement=huge))
     assert layers.recorded == ""
     assert layers.note.startswith("These maps have 100 million cells in all, and a page draws at")
-    path = write_fusion_report(few, tmp_path, config=RunConfig())
+    path = write_fusion_report(FusedMaps(RunConfig(), few, None), tmp_path)
     assert "Drag the map" in read(path).text
 
 

@@ -15,12 +15,12 @@ import pytest
 
 from slamfusion.align.records import Alignment
 from slamfusion.config import PICTURE_FORMS, NormalizeConfig, ReportConfig, RunConfig
-from slamfusion.errors import SlamFusionError
+from slamfusion.errors import AlignmentError, SlamFusionError
 from slamfusion.evaluation.map_error import compare_to_truth
 from slamfusion.grid import OccupancyGrid
 from slamfusion.jobs.evaluate import write_evaluation
+from slamfusion.jobs.fuse import FusedMaps, write_failed_fusion, write_fusion_report
 from slamfusion.jobs.fuse_documents import Evaluation
-from slamfusion.report import write_failure_report, write_fusion_report
 from slamfusion.slam.registry import with_producers, with_settings
 from tests.report.drawn import NASTY, REASON, alignment, colours_of, explains, fusion, room
 
@@ -95,7 +95,7 @@ def evaluations(found: Alignment | None = None) -> list[Evaluation]:
 def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """One report with everything in it, to read only."""
     folder = tmp_path_factory.mktemp("report")
-    return write_fusion_report(fusion(), folder, config=CONFIG, evaluations=evaluations())
+    return write_fusion_report(FusedMaps(CONFIG, fusion(), None, tuple(evaluations())), folder)
 
 
 def test_the_headline_names_the_fused_and_the_rejected_with_the_reason(report: Path) -> None:
@@ -121,24 +121,21 @@ def test_a_weak_match_is_told_first_and_each_says_how_good_it_is(
         for record in result.accepted
     ]
     found = tuple(record.alignment for record in records if record.alignment is not None)
-    page = read(
-        write_fusion_report(
-            replace(result, inputs=tuple(records), pairs=found), tmp_path, config=CONFIG
-        )
-    )
+    weak = replace(result, inputs=tuple(records), pairs=found)
+    page = read(write_fusion_report(FusedMaps(CONFIG, weak, None), tmp_path))
     assert f"accepted: {strength}" in page.text
     assert ("room 1 may not belong here: fits" in page.text) is is_told
 
 
 def test_only_changed_settings_of_a_producer_are_listed_as_changed(tmp_path: Path) -> None:
     config = with_settings(with_producers(CONFIG), "graph", resolution=0.07)
-    page = read(write_fusion_report(fusion(), tmp_path, config=config))
+    page = read(write_fusion_report(FusedMaps(config, fusion(), None), tmp_path))
     changed = page.text.partition("Settings that differ from the defaults")[2].partition("Versions")
     assert changed[0].split() == ["settingvalue", "producers.graph.resolution0.07"]
 
 
 def test_a_failure_stands_above_everything(tmp_path: Path) -> None:
-    path = write_fusion_report(fusion(), tmp_path, config=CONFIG, failure="it may not")
+    path = write_fusion_report(FusedMaps(CONFIG, fusion(), None), tmp_path, "it may not")
     page = read(path)
     assert page.text.index("Do not use this map") < page.text.index("it may not")
     assert page.text.index("it may not") < page.text.index("Fused:")
@@ -180,8 +177,9 @@ def test_names_are_escaped_and_run_nothing(report: Path) -> None:
 
 
 def test_a_page_without_layers_runs_no_script(tmp_path: Path) -> None:
-    grids = [room("left", 1), room("right", 2)]
-    page = read(write_failure_report(grids, [], "they do not fit", tmp_path, config=CONFIG))
+    error = AlignmentError("they do not fit")
+    error.grids = (room("left", 1), room("right", 2))
+    page = read(write_failed_fusion(error, CONFIG, tmp_path, device=""))
     assert not page.scripts
     assert "script-src" not in page.policy
 
@@ -223,10 +221,10 @@ def test_pictures_beside_the_page_are_those_in_it_with_safe_names(report: Path) 
 
 
 def test_a_failed_fusion_shows_each_map_and_each_pair(tmp_path: Path) -> None:
-    grids = [room("left", 1), room(NASTY, 2)]
-    pairs = [alignment("left", NASTY, accepted=False)]
-    path = write_failure_report(grids, pairs, "left and right do not fit", tmp_path, config=CONFIG)
-    page = read(path)
+    pairs = (alignment("left", NASTY, accepted=False),)
+    error = AlignmentError("left and right do not fit", pairs)
+    error.grids = (room("left", 1), room(NASTY, 2))
+    page = read(write_failed_fusion(error, CONFIG, tmp_path, device=""))
     assert "Nothing was fused left and right do not fit" in page.text
     assert f"{NASTY} on left" in page.text
     assert "script" not in page.tags
@@ -254,7 +252,7 @@ def test_a_place_that_cannot_be_written_is_one_clear_line(tmp_path: Path) -> Non
     blocked = tmp_path / "file"
     blocked.write_text("")
     with pytest.raises(SlamFusionError) as caught:
-        write_fusion_report(fusion(), blocked / "report", config=CONFIG)
+        write_fusion_report(FusedMaps(CONFIG, fusion(), None), blocked / "report")
     assert str(blocked) in str(caught.value)
     assert "\n" not in str(caught.value)
     assert list(tmp_path.iterdir()) == [blocked]
