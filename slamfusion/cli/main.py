@@ -7,13 +7,19 @@ Exit codes: 0 done; 1 expected failure, with one line on stderr; 2 wrong usage; 
 from __future__ import annotations
 
 import contextlib
+import gc
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+# Objects after which Python looks for cycles: our own are few, and each look at what the imports
+# made takes as long as many scans.
+GC_OBJECTS = 100_000
+
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line and exit with the documented code."""
+    gc.set_threshold(GC_OBJECTS)
     words = list(sys.argv[1:] if arguments is None else arguments)
     try:
         from slamfusion.cli.program import run_program  # noqa: PLC0415 - loads slowly

@@ -42,6 +42,9 @@ class DeviceArray(Protocol[Scalar_co]):
     def size(self) -> int:
         """Elements."""
 
+    def __getitem__(self, rows: slice, /) -> DeviceArray[Scalar_co]:
+        """Return the first rows, ``array[:n]``, in the same memory."""
+
 
 def host(handle: DeviceArray[Scalar]) -> npt.NDArray[Scalar]:
     """Return an array of the NumPy device as an ``ndarray``."""

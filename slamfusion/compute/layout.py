@@ -142,6 +142,8 @@ WALK_TO_BEAM_SHIFT: Final = WALK_SHIFT - BEAM_SHIFT
 
 # Poses that a climber tries in a round: the items of a work-group.
 CLIMBERS: Final = 16
+# Hits that a kernel may read together: their number on the device is rounded up to this.
+HIT_LANES: Final = 16
 # Between cell centres a field is interpolated in sixteenths; a value then has their square's bits.
 SIXTEENTHS: Final = 16
 SIXTEENTHS_SHIFT: Final = 8

@@ -84,6 +84,10 @@ class OpenCLArray(Generic[Scalar]):
         """Elements."""
         return math.prod(self.shape)
 
+    def __getitem__(self, rows: slice, /) -> OpenCLArray[Scalar]:
+        """Return the first rows, ``array[:n]``, in the same memory."""
+        return OpenCLArray(self.buffer, (rows.stop, *self.shape[1:]), self.dtype)
+
 
 class OpenCLDevice(ComputeDevice):
     """One OpenCL device with an in-order queue and all kernels, and the arrays on it.

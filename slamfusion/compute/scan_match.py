@@ -15,6 +15,7 @@ from slamfusion.compute.arrays import F32, F64, I32, I64, U8, ArrayDevice, Devic
 from slamfusion.compute.layout import (
     CLIMBERS,
     FOUND_FLOATS,
+    HIT_LANES,
     SIXTEENTHS,
     SIXTEENTHS_SHIFT,
     TABLE_LAST,
@@ -114,8 +115,14 @@ class ScanMatchDevice(ArrayDevice):
 
     On the device stay the ``field``, (T, TILE, TILE) uint8 wall values of all maps; the ``pages``
     of one map (PH, PW) or of N maps (N, PH, PW), int32, whose border is empty; and the ``points``
-    of a scan, (P, 2) float32, cells, in the robot's frame. All else comes from the host.
+    of a scan, see ``upload_hits``. All else comes from the host.
     """
+
+    def upload_hits(self, points: F32) -> DeviceArray[np.float32]:
+        """Bring a scan's hits (P, 2), cells, in the robot's frame, to the device."""
+        padded = np.zeros((-(-len(points) // HIT_LANES) * HIT_LANES, 2), dtype=np.float32)
+        padded[: len(points)] = points
+        return self.upload(padded)[: len(points)]
 
     def field_window(
         self,

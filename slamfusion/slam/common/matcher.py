@@ -115,10 +115,11 @@ class ScanOnTiles:
         self._corner = walls.corner
         hits = points / resolution
         every = -(-len(points) // most_points)
-        looked_at = hits[::every].astype(np.float32)
-        self._points = device.upload(looked_at)
+        seconds = hits[:: 2 * every], hits[every :: 2 * every]
+        looked_at = np.concatenate(seconds).astype(np.float32)
+        self._points = device.upload_hits(looked_at)
         # The first, wide look takes every second of them.
-        self._few_points = device.upload(looked_at[::2])
+        self._few_points = self._points[: -(-len(looked_at) // 2)]
         col, row = np.floor(hits).astype(np.int64).T
         cells = np.sort(col * _ROW_STRIDE + row)
         self.cells = 1 + int(np.count_nonzero(cells[1:] != cells[:-1]))

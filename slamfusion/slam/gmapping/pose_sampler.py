@@ -230,7 +230,7 @@ class PoseSampler:
         sums = self._device.score_maps(
             self._maps.field,
             self._maps.tiles.page_tables,
-            self._device.upload(looked_at),
+            self._device.upload_hits(looked_at),
             table,
             self._likelihood_table,
         )
@@ -255,7 +255,7 @@ class PoseSampler:
     ) -> tuple[F64, F64]:
         """Return (N, 3) where hill climbing from the drawn poses ends, and (N,) mean scores."""
         config, cell, corner = self._config, self._config.delta, self._maps.corner
-        looked_at = self._device.upload(hits)
+        looked_at = self._device.upload_hits(hits)
 
         def rows(poses: F64) -> F64:
             """Convert to cells of the window, headings near 0, within float32's precision."""
