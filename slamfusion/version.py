@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import platform
+from functools import cache
 
 __version__ = "0.1.0"
 
@@ -15,6 +16,7 @@ def versions() -> dict[str, str | None]:
     return found | {name: version_of(name) for name in ("slamfusion", *DISTRIBUTIONS)}
 
 
+@cache
 def version_of(distribution: str) -> str | None:
     """Return the version of an installed distribution; None if absent."""
     import importlib.metadata  # noqa: PLC0415  (loads slowly)

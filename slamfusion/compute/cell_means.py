@@ -79,7 +79,7 @@ class ScanRule(NamedTuple):
         longest = np.maximum(np.abs(laser_x - hit_x), np.abs(laser_y - hit_y))
         step = length * (1 << WALK_SHIFT) // np.maximum(longest, 1)
         reach = np.where(step > 0, (self.half_blur << WALK_TO_BEAM_SHIFT) // np.maximum(step, 1), 0)
-        beam, row, col, i = walk_cells((hit_x, hit_y), (laser_x, laser_y), reach)
+        beam, row, col, i = walk_cells(beams, reach)
         away = (np.abs(i) * step[beam]) >> WALK_TO_BEAM_SHIFT
         rise = np.maximum(ridge[beam] - self.free, 0) * (self.half_blur - away)
         value = self.free + np.where(away < self.half_blur, rise // max(1, self.half_blur), 0)
@@ -124,8 +124,8 @@ class LikelihoodRule(NamedTuple):
 
     def words(self, beams: I32) -> tuple[I64, I64, I64, I64]:
         """Return the same as of ``ScanRule``; passed cells get the value of no hit nearby."""
-        hits, lasers = beams[:, :2].astype(np.int64), beams[:, 2:].astype(np.int64)
-        beam, row, col, step = walk_cells((hits[:, 0], hits[:, 1]), (lasers[:, 0], lasers[:, 1]))
+        hits = beams[:, :2].astype(np.int64)
+        beam, row, col, step = walk_cells(beams)
         passed = step > 0
         around = np.arange(-self.reach, self.reach + 1)
         rows, cols = (axis.ravel() for axis in np.meshgrid(around, around, indexing="ij"))

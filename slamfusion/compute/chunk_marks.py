@@ -67,8 +67,7 @@ class ChunkMarkDevice(ArrayDevice):
         for turn in range(-side, side + 1):
             _mark(hits, (tile, (facings + turn) % FACINGS, row, col), bits)
         for first in range(0, len(beams), BATCH):
-            some = beams[first : first + BATCH].astype(np.int64)
-            beam, row, col, _ = walk_cells((some[:, 0], some[:, 1]), (some[:, 2], some[:, 3]))
+            beam, row, col, _ = walk_cells(beams[first : first + BATCH])
             _mark(seen, tile_places(pages, 0, row, col), bits[first : first + BATCH][beam])
 
     def nearest_marks(

@@ -134,23 +134,20 @@ def _type_name(device: Any) -> str:
 
 def list_devices() -> list[DeviceInfo]:
     """Describe every OpenCL device; the index is what ``--device`` takes."""
-    infos = []
-    for index, device in enumerate(find_devices()):
-        infos.append(
-            DeviceInfo(
-                index=index,
-                name=device.name.strip(),
-                platform=device.platform.name.strip(),
-                type=_type_name(device),
-                version=device.version.strip(),
-                compute_units=int(device.max_compute_units),
-                memory_mb=int(device.global_mem_size // 2**20),
-                usable=bool(device.available and device.compiler_available)
-                and not is_refused(device),
-                note=_note(device),
-            )
+    return [
+        DeviceInfo(
+            index=index,
+            name=device.name.strip(),
+            platform=device.platform.name.strip(),
+            type=_type_name(device),
+            version=device.version.strip(),
+            compute_units=int(device.max_compute_units),
+            memory_mb=int(device.global_mem_size // 2**20),
+            usable=bool(device.available and device.compiler_available) and not is_refused(device),
+            note=_note(device),
         )
-    return infos
+        for index, device in enumerate(find_devices())
+    ]
 
 
 def choose_device(wanted: str = "auto", *, small_kernels: bool = False) -> Any:

@@ -242,11 +242,7 @@ class FieldDevice(ArrayDevice):
                 (len(poses), *shape), cells.dtype, "warp", size, cells, *cells.shape,
                 self.upload(poses), len(poses), *shape, np.int8(fill),
             )  # fmt: skip
-        y2, x2 = np.meshgrid(
-            2 * np.arange(shape[0], dtype=np.int64) + 1,
-            2 * np.arange(shape[1], dtype=np.int64) + 1,
-            indexing="ij",
-        )
+        y2, x2 = 2 * np.indices(shape, dtype=np.int64) + 1
         out = np.empty((len(poses), *shape), dtype=cells.dtype)
         for k, pose in enumerate(poses):
             out[k] = cells_at(host(cells), *fixed_cells(pose, x2, y2), fill)

@@ -153,11 +153,9 @@ def _placed(scan: BeamScan, points: F32, shape: tuple[int, ...]) -> tuple[I64, I
 
 def _walks(scan: BeamScan, shape: tuple[int, ...]) -> tuple[I64, I64, I64]:
     """Walk each beam in each map as ``walk_cells``; return map, row and column of every step."""
-    end_x, end_y = _placed(scan, scan.ends, shape)
-    laser_x, laser_y = _placed(scan, scan.laser[None], shape)
-    laser_x, laser_y = np.broadcast_arrays(laser_x, laser_y, end_x)[:2]
-    lasers = laser_x.ravel(), laser_y.ravel()
-    beam, row, col, _ = walk_cells((end_x.ravel(), end_y.ravel()), lasers)
+    ends, laser = _placed(scan, scan.ends, shape), _placed(scan, scan.laser[None], shape)
+    beams = np.stack(np.broadcast_arrays(*ends, *laser), axis=-1)
+    beam, row, col, _ = walk_cells(beams.reshape(-1, 4))
     return beam // max(1, len(scan.ends)), row, col
 
 
@@ -274,8 +272,7 @@ class HitCountDevice(ArrayDevice):
         pages, pools = host(pages), (host(visits), host(hits))
         sum_at = np.add.at if sign > 0 else np.subtract.at
         for first in range(0, len(beams), BATCH):
-            some = beams[first : first + BATCH].astype(np.int64)
-            beam, row, col, step = walk_cells((some[:, 0], some[:, 1]), (some[:, 2], some[:, 3]))
+            beam, row, col, step = walk_cells(beams[first : first + BATCH])
             places = tile_places(pages, 0, row, col)
             is_visit = places[0] != 0
             is_end = is_visit & (step == 0)

@@ -130,12 +130,10 @@ def _side_terms(
         col = np.floor(qx - 0.5).astype(np.int64)
         row = np.floor(qy - 0.5).astype(np.int64)
         inside = (col >= 0) & (row >= 0) & (col + 1 < width) & (row + 1 < height)
-        px, py, qx, qy = px[inside], py[inside], qx[inside], qy[inside]
-        col, row = col[inside], row[inside]
-        corners = np.stack([distance[row + i, col + j] for i in (0, 1) for j in (0, 1)])
-        seen = corners.max(axis=0, initial=0) < DISTANCE_UNSEEN
-        px, py, qx, qy = px[seen], py[seen], qx[seen], qy[seen]
-        col, row = col[seen], row[seen]
+        at = row[inside], col[inside]
+        corners = np.stack([distance[at[0] + i, at[1] + j] for i in (0, 1) for j in (0, 1)])
+        inside[inside] = corners.max(axis=0, initial=0) < DISTANCE_UNSEEN
+        px, py, qx, qy, col, row = (part[inside] for part in (px, py, qx, qy, col, row))
         u, v = qx - 0.5 - col, qy - 0.5 - row
         d00, d01 = cells[row, col], cells[row, col + 1]
         d10, d11 = cells[row + 1, col], cells[row + 1, col + 1]
@@ -195,11 +193,7 @@ class SearchDevice(ArrayDevice):
             )  # fmt: skip
             return np.asarray(self.download(partial).sum(axis=1, dtype=np.int64))
         a, b = host(a), host(b)
-        y2, x2 = np.meshgrid(
-            2 * np.arange(0, a.shape[0], stride, dtype=np.int64) + 1,
-            2 * np.arange(0, a.shape[1], stride, dtype=np.int64) + 1,
-            indexing="ij",
-        )
+        y2, x2 = 2 * np.indices(a.shape, dtype=np.int64)[:, ::stride, ::stride] + 1
         own = a[::stride, ::stride].astype(np.int64)
         out = np.zeros(len(poses), dtype=np.int64)
         for p, pose in enumerate(poses):

@@ -28,27 +28,26 @@ from slamfusion.compute.layout import (
 Scalar = TypeVar("Scalar", bound=np.generic)
 
 
-def walk_cells(
-    ends: tuple[I64, I64], lasers: tuple[I64, I64], behind: I64 | int = 0
-) -> tuple[I64, I64, I64, I64]:
+def walk_cells(beams: I32 | I64, behind: I64 | int = 0) -> tuple[I64, I64, I64, I64]:
     """Walk beams from their ends to the laser, one cell of the longer axis a step.
 
     Args:
-        ends, lasers: x and y, (B,) each, in 1/1024 cell.
+        beams: (B, 4 or more), x and y of end and laser in 1/1024 cell.
         behind: (B,) steps before the end at which a walk starts.
 
     Returns:
         Beam, row and column of every step, flat, and its number, 0 at the end of the beam.
     """
-    dx, dy = lasers[0] - ends[0], lasers[1] - ends[1]
+    x, y, laser_x, laser_y = beams.astype(np.int64).T[:4]
+    dx, dy = laser_x - x, laser_y - y
     longest = np.maximum(np.maximum(np.abs(dx), np.abs(dy)), 1)
     step_x = np.abs(dx) * (1 << WALK_SHIFT) // longest * np.where(dx < 0, -1, 1)
     step_y = np.abs(dy) * (1 << WALK_SHIFT) // longest * np.where(dy < 0, -1, 1)
     counts = behind + (longest >> BEAM_SHIFT) + 1
     beam = np.repeat(np.arange(len(counts)), counts)
     i = np.arange(len(beam)) - np.repeat(np.cumsum(counts) - counts + behind, counts)
-    col = ((ends[0][beam] << WALK_TO_BEAM_SHIFT) + i * step_x[beam]) >> WALK_SHIFT
-    row = ((ends[1][beam] << WALK_TO_BEAM_SHIFT) + i * step_y[beam]) >> WALK_SHIFT
+    col = ((x[beam] << WALK_TO_BEAM_SHIFT) + i * step_x[beam]) >> WALK_SHIFT
+    row = ((y[beam] << WALK_TO_BEAM_SHIFT) + i * step_y[beam]) >> WALK_SHIFT
     return beam, row, col, i
 
 

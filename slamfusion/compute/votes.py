@@ -60,10 +60,6 @@ class Votes(NamedTuple):
         )
 
 
-Cell = npt.NDArray[np.intp]
-Cells = tuple[Cell, ...]
-
-
 # Cells that one work item decides, one after the other; a multiple of ``BLOCK_CELLS``.
 CHUNK_CELLS = 4096
 
@@ -252,7 +248,7 @@ def _walls_stand(stack: U8, amount: I32, trust: I32, ways: U8) -> tuple[BOOL, I3
     return stands & (2 * (trust * near).sum(axis=0) >= VOTE_ONE), support, against, same
 
 
-def _same_wall(own: U8, at: Cells, ways: U8, reach: int) -> tuple[Cell, Cell, BOOL]:
+def _same_wall(own: U8, at: tuple[I64, ...], ways: U8, reach: int) -> tuple[I64, I64, BOOL]:
     """Return rows and columns (K,) of the nearest wall of one input that faces some ways.
 
     The search goes along rows and columns from ``at``, ``reach`` cells far; also returns which

@@ -67,7 +67,11 @@ class GridLayer:
 
     def on(self, box: CellBox) -> I8:
         """Return its cells on a box of the lattice, unknown outside of its own."""
-        return _plain(box.cut(self.codes, self.box, UNKNOWN))
+        cells = box.cut(self.codes, self.box, UNKNOWN)
+        outvoted = (cells > 1).view(np.int8)
+        outvoted *= OUTVOTED
+        cells -= outvoted
+        return cells
 
     def note(self, tile: CellBox, is_outvoted: B8) -> None:
         """Note where the input was outvoted in a tile; (h, w) of the tile."""
@@ -82,17 +86,7 @@ class GridLayer:
 
     def dissent(self) -> B8:
         """Return where it was outvoted, (H, W) bool."""
-        whole = np.zeros(self.shape, dtype=np.bool_)
-        whole[self.box.slices()] = self.codes > 1
-        return whole
-
-
-def _plain(codes: I8) -> I8:
-    """Return cells in {-1, 0, 1} of the codes of a layer."""
-    # Only one array of the size of the map is written.
-    cells = (codes > 1).view(np.int8)
-    cells *= OUTVOTED
-    return np.subtract(codes, cells, out=cells)
+        return CellBox(0, 0, *self.shape).cut(self.codes, self.box, UNKNOWN) > 1
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,6 +8,7 @@ thin wall faces the other way.
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable
 
@@ -141,19 +142,15 @@ def same_wall_cells(resolution: float) -> int:
 
 def _fronts(known: U8) -> U8:
     """Return the ways that wall cells face, (H, W) bits: free cells lie there, behind no wall."""
-    height, width = known.shape
     walls, free = (np.pad(known & bit != 0, FRONT_CELLS) for bit in (WALL_OCCUPIED, WALL_FREE))
+    inner = CellBox(0, 0, *known.shape).moved(FRONT_CELLS, FRONT_CELLS)
     ways = np.zeros_like(known)
     for number, (down, right) in enumerate(SIDES):
-
-        def ahead(of: B8, cells: int, down: int = down, right: int = right) -> B8:
-            row, col = FRONT_CELLS + cells * down, FRONT_CELLS + cells * right
-            return of[row : row + height, col : col + width]
-
-        faces = ahead(free, 1)
-        for cells in range(2, FRONT_CELLS + 1):
-            faces = faces | ahead(free, cells)
-        faces = faces & (ahead(walls, 0) > ahead(walls, 1))
+        own, *ahead = (
+            inner.moved(cells * down, cells * right).slices() for cells in range(FRONT_CELLS + 1)
+        )
+        faces = functools.reduce(np.bitwise_or, (free[cells] for cells in ahead))
+        faces &= walls[own] > walls[ahead[0]]
         ways |= faces * np.uint8(1 << number)
     return ways
 
