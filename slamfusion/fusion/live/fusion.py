@@ -266,10 +266,10 @@ class LiveFusion(Mailbox):
 
     def _vote(self) -> CellBox | None:
         """Let the map drawn from scans vote, and those whose poses it was not drawn by."""
-        supervisor, drawn, evidence = self._supervisor, self._drawn, self._said
+        supervisor, drawn = self._supervisor, self._drawn
         voters, reference = supervisor.voters, supervisor.reference
-        if drawn.votes and evidence is not None:
-            voters = [drawn, *(one for one in voters if one.name not in evidence.transforms)]
+        if drawn.votes:
+            voters = [drawn, *(one for one in voters if not one.is_drawn)]
             reference = DRAWN
         return self._layers.update([*self._inputs.values(), drawn], voters, reference)
 
@@ -391,12 +391,13 @@ class LiveFusion(Mailbox):
         """
         with self._lock:
             reasons = self._poses.contradictions()
-        if self._said is not None:
-            scored, doubts = self._said.transforms, self._said.doubts
-            apart = {name: reason for name, reason in reasons.items() if name not in scored}
-            reasons = {**apart, **doubts}
+        said = self._said
+        if said is not None:
+            apart = {name: why for name, why in reasons.items() if name not in said.transforms}
+            reasons = {**apart, **said.doubts}
         for name, track in self._inputs.items():
             track.contradiction = reasons.get(name, "")
+            track.is_drawn = self._drawn.votes and said is not None and name in said.transforms
 
     def _expect(self) -> None:
         """Set the expected places of inputs by poses of equal stamps."""

@@ -165,6 +165,7 @@ class Input:
         reason: why it is in its state, one line.
         transform: its map frame into the fused frame, metres; the last accepted one.
         contradiction: how scans or poses of others contradict its own; else empty.
+        is_drawn: whether the map drawn from scans votes in its place.
         tried: own version, and name and version of the last failed alignment; see ``recovery`` for
             those of the last fused map.
         searched_s, searches: time and number of its searches everywhere.
@@ -183,6 +184,7 @@ class Input:
     transform: Pose2 | None = None
     fit: Fit = Fit()
     contradiction: str = ""
+    is_drawn: bool = False
     jump: Jump | None = None
     tried: tuple[int, str, int] | None = None
     searched_s: float = -math.inf
@@ -326,6 +328,11 @@ class Input:
         features = GridFeatures(normalized, self.device)
         self._features = features, self._changed
         return features
+
+    def release(self) -> None:
+        """Release the features if the next alignment is likely to need those of another map."""
+        if self.is_drawn:
+            self._features = None
 
     def apart(self, a: Pose2, b: Pose2) -> tuple[float, float, float]:
         """Return the difference of two transforms of this map: centre m, turn rad, corners m."""

@@ -21,7 +21,8 @@ NEVER = float("-inf")
 # Cells aligned again while a new map waits; what comes on top of these waits for a pause.
 TRACK_CELLS = 2_000_000
 # A steady voter is late when this many times the usual share has changed; then it only waits for
-# other late ones.
+# other late ones. One in whose place the map drawn from scans votes is aligned again only then: its
+# path is checked by each solution of the drive.
 LATE = 20.0
 
 
@@ -209,6 +210,9 @@ class InputSupervisor:
                 one.tried = (one.version, reference.name, reference.version)
                 one.turn(Reason.FAILED, why=str(error) or type(error).__name__)
             cells += own
+        if cells:
+            for one in self.inputs.values():
+                one.release()
 
     def _align(self, one: Input, reference: Input) -> None:
         """Align an input to the reference: tracked, or else searched everywhere."""
@@ -271,7 +275,7 @@ class InputSupervisor:
         if one is reference or not one.is_live:
             return False
         if one.stands:
-            return one.drift > self._few(one, reference)
+            return one.drift > (LATE if one.is_drawn else 1.0) * self._few(one, reference)
         if one.awaits_confirmation:
             return self._aligner.may_confirm(one)
         return one.tried != (one.version, reference.name, reference.version)
