@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 import cv2
 import numpy as np
 
-from slamfusion.config import NormalizeConfig
+from slamfusion.config import RunConfig
 from slamfusion.errors import GridError
 from slamfusion.evaluation import wall_faces
 from slamfusion.evaluation.distances import sample_on_lattice, wall_centres
@@ -135,9 +135,8 @@ def compare_to_truth(
     grid: OccupancyGrid,
     truth: OccupancyGrid,
     transform: Pose2 = IDENTITY,
+    config: RunConfig | None = None,
     *,
-    normalize: NormalizeConfig,
-    tolerance_m: float,
     is_plan: bool = False,
 ) -> MapError:
     """Measure a map against the truth, with every measure at once.
@@ -147,19 +146,16 @@ def compare_to_truth(
 
     Args:
         transform: maps a point of the map's frame into the truth's, metres.
-        normalize: the thresholds, in percent, for both maps.
-        tolerance_m: largest distance of a correct wall from a true wall, at least 0.
+        config: thresholds of both maps, and largest distance of a correct wall from a true one.
         is_plan: the truth is a floor plan; what is farther than the tolerance from all known cells
             of the map (rooms not entered) does not count.
 
     Raises:
         GridError: no cell of the truth is known.
-        ValueError: the tolerance is negative or not finite.
     """
-    if not (math.isfinite(tolerance_m) and tolerance_m >= 0):
-        message = f"tolerance_m must be a distance in metres, at least 0, found {tolerance_m}"
-        raise ValueError(message)
-    grid, truth = grid.classified(normalize), truth.classified(normalize)
+    config = config or RunConfig()
+    tolerance_m = config.evaluate.tolerance_m
+    grid, truth = (item.classified(config.fusion.normalize) for item in (grid, truth))
     box = known_box(truth.cells)
     if box is None:
         raise GridError(

@@ -247,14 +247,5 @@ def against_truth(
                 transforms.append(found.runner_up.transform)
     if same_heading:
         transforms = [item for item in transforms if abs(wrap_angle(item.yaw_rad)) <= MOST_TURN_RAD]
-    errors = [
-        compare_to_truth(
-            known,
-            truth,
-            transform,
-            normalize=config.fusion.normalize,
-            tolerance_m=config.evaluate.tolerance_m,
-        )
-        for transform in transforms
-    ]
+    errors = [compare_to_truth(known, truth, transform, config) for transform in transforms]
     return min(errors, key=lambda item: item.error)

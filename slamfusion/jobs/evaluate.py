@@ -146,8 +146,7 @@ def evaluate_maps(
             grid,
             truth,
             Pose2() if alignment is None else alignment.transform,
-            normalize=config.fusion.normalize,
-            tolerance_m=config.evaluate.tolerance_m,
+            config,
             is_plan=plans is not None,
         )
         aligned = alignment is None or alignment.accepted

@@ -181,19 +181,6 @@ def _cells_figure(rgb: U8, side_m: float, corner: Pose2) -> Figure:
 # --- pictures -------------------------------------------------------------------------------------
 
 
-def judged_picture(
-    stem: str,
-    figure: Figure,
-    title: str,
-    alignment: Alignment,
-    legend: canvas.Legend,
-    lead: str = "",
-) -> Picture:
-    """Return the picture of an alignment, framed and marked if it was rejected."""
-    badge = "" if alignment.accepted else "rejected"
-    return Picture(stem, figure, title, f"{lead}{alignment.reason}", badge=badge, legend=legend)
-
-
 def input_picture(grid: OccupancyGrid, rejected: str | None = None) -> Picture:
     """Return a classified input in its frame, framed and marked if it was rejected for a reason."""
     size = f"{grid.width} x {grid.height} cells of {grid.resolution:g} m"
@@ -243,13 +230,13 @@ def pair_overlay(
         reference.resolution,
         box_origin(reference.origin, reference.resolution, box),
     )
-    return judged_picture(
+    return Picture(
         f"pair-{reference.name}-{moving.name}",
         figure,
         f"{moving.name} on {reference.name}",
-        alignment,
-        legend,
-        "The best alignment found. ",
+        f"The best alignment found. {alignment.reason}",
+        badge="" if alignment.accepted else "rejected",
+        legend=legend,
     )
 
 
@@ -273,12 +260,12 @@ def pairs_section(grids: Sequence[OccupancyGrid], pairs: Sequence[Alignment]) ->
 def yaw_pictures(alignments: Sequence[Alignment]) -> list[Picture]:
     """Return the score over yaw of every alignment that kept it."""
     return [
-        judged_picture(
+        Picture(
             f"yaw-{own.moving}-{own.reference}",
             yaw_picture(own, own.yaw_profile),
             f"{own.moving} on {own.reference}",
-            own,
-            {},
+            own.reason,
+            badge="" if own.accepted else "rejected",
         )
         for own in alignments
         if own.yaw_profile is not None and len(own.yaw_profile)

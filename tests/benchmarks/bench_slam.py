@@ -276,13 +276,7 @@ def courses(bench: Bench) -> Iterator[Row]:
             row["ATE m"], row["farthest m"] = errors.ate.rmse, errors.ate.max
             row["online m"] = bench.ate(online(run), truth)[0]
             row["end m"], row["end deg"] = end_error(run.trajectory, truth)
-            walls = compare_to_truth(
-                run.grid,
-                grid,
-                errors.alignment.transform,
-                normalize=bench.config.fusion.normalize,
-                tolerance_m=bench.config.evaluate.tolerance_m,
-            )
+            walls = compare_to_truth(run.grid, grid, errors.alignment.transform, bench.config)
             row["precision"], row["recall"] = walls.wall_precision, walls.wall_recall
             row["F1"] = walls.wall_f1
             row["off m"] = walls.map_to_truth_m.mean if walls.map_to_truth_m else np.nan

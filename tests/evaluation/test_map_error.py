@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from slamfusion.config import NormalizeConfig
+from slamfusion.config import EvaluateConfig, FusionConfig, NormalizeConfig, RunConfig
 from slamfusion.errors import GridError
 from slamfusion.evaluation.map_error import (
     AGREE_FREE,
@@ -30,13 +30,17 @@ from slamfusion.json_values import plain
 from tests.evaluation.drawings import draw
 from tests.support.examples import examples
 
-NORMALIZE = NormalizeConfig()
-
 
 def compare(
-    grid: OccupancyGrid, truth: OccupancyGrid, transform: Pose2 = IDENTITY, tolerance_m: float = 1.0
+    grid: OccupancyGrid,
+    truth: OccupancyGrid,
+    transform: Pose2 = IDENTITY,
+    tolerance_m: float = 1.0,
+    *,
+    is_plan: bool = False,
 ) -> MapError:
-    return compare_to_truth(grid, truth, transform, normalize=NORMALIZE, tolerance_m=tolerance_m)
+    config = RunConfig(evaluate=EvaluateConfig(tolerance_m))
+    return compare_to_truth(grid, truth, transform, config, is_plan=is_plan)
 
 
 def test_error_counts_each_pair_of_classes() -> None:
@@ -67,8 +71,8 @@ def test_thresholds_decide_the_classes_inclusively() -> None:
     found = OccupancyGrid(np.array([[65, 25, 26, 64]], dtype=np.int8), 1.0)
     # 65 is a wall, 25 is free, 26 and 64 are unknown.
     assert compare(found, truth).error == pytest.approx(2.0)
-    strict = NormalizeConfig(occupied_percent=90.0, free_percent=10.0)
-    result = compare_to_truth(found, truth, normalize=strict, tolerance_m=0.0)
+    strict = FusionConfig(normalize=NormalizeConfig(occupied_percent=90.0, free_percent=10.0))
+    result = compare_to_truth(found, truth, IDENTITY, RunConfig(fusion=strict))
     assert result.error == pytest.approx(math.sqrt(4 + 1 + 0 + 4))
 
 
@@ -160,18 +164,16 @@ def test_of_a_plan_counts_what_the_map_has_seen() -> None:
     of_map = compare(seen, plan, tolerance_m=0.0)
     assert of_map.mapped is None
     assert of_map.wall_recall == pytest.approx(10 / 23)
-    of_plan = compare_to_truth(seen, plan, normalize=NORMALIZE, tolerance_m=0.0, is_plan=True)
+    of_plan = compare(seen, plan, tolerance_m=0.0, is_plan=True)
     assert of_plan.mapped == pytest.approx(10 / 23)
     assert (of_plan.wall_recall, of_plan.wall_precision) == (1.0, 1.0)
     assert of_plan.faces.f1(0.05) == 1.0
     assert of_plan.coverage == 1.0
     assert np.count_nonzero(of_plan.difference == MISSING_WALL) == 0
     # A wall of the plan that is near known ground, and not in the map, is missing.
-    near = compare_to_truth(seen, plan, normalize=NORMALIZE, tolerance_m=1.0, is_plan=True)
+    near = compare(seen, plan, is_plan=True)
     assert near.mapped == pytest.approx(12 / 23)
-    away = compare_to_truth(
-        seen, plan, Pose2(50.0), normalize=NORMALIZE, tolerance_m=1.0, is_plan=True
-    )
+    away = compare(seen, plan, Pose2(50.0), is_plan=True)
     assert (away.mapped, away.wall_recall) == (0.0, None)
 
 

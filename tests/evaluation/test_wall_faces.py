@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from slamfusion.config import NormalizeConfig
+from slamfusion.config import EvaluateConfig, NormalizeConfig, RunConfig
 from slamfusion.evaluation.map_error import MapError, compare_to_truth
 from slamfusion.evaluation.wall_faces import face_cells, outside_area, wall_thickness
 from slamfusion.geometry import Pose2
@@ -26,7 +26,8 @@ draw = partial(drawings.draw, resolution=0.05)
 def compare(
     grid: OccupancyGrid, truth: OccupancyGrid, transform: Pose2 = IDENTITY, margin_m: float = 0.0
 ) -> MapError:
-    return compare_to_truth(grid, truth, transform, normalize=NORMALIZE, tolerance_m=margin_m)
+    config = RunConfig(evaluate=EvaluateConfig(margin_m))
+    return compare_to_truth(grid, truth, transform, config)
 
 
 def outside(grid: OccupancyGrid, truth: OccupancyGrid, margin_m: float = 0.0) -> float:

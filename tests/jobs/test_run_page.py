@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from slamfusion.config import NormalizeConfig, RunConfig
+from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
 from slamfusion.evaluation.map_error import compare_to_truth
 from slamfusion.evaluation.measured import Measures
@@ -62,11 +62,7 @@ def everything() -> LogRun:
     )
     yardstick = room("truth", 7)
     evaluations = [
-        Evaluation(
-            **vars(compare_to_truth(grid, yardstick, normalize=NormalizeConfig(), tolerance_m=0.1)),
-            aligned=True,
-            alignment=None,
-        )
+        Evaluation(**vars(compare_to_truth(grid, yardstick)), aligned=True, alignment=None)
         for grid in (room("room 0", 0), room("fused", 7))
     ]
     why = f"its process was killed {NASTY}"

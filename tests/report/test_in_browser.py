@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import pytest
 
-from slamfusion.config import NormalizeConfig, RunConfig
+from slamfusion.config import RunConfig
 from slamfusion.evaluation.map_error import compare_to_truth
 from slamfusion.jobs.fuse import FusedMaps, write_fusion_report
 from slamfusion.jobs.fuse_documents import Evaluation
@@ -30,7 +30,7 @@ WALL = (4, 30)
 def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
     truth = room("truth", 7)
     fused = room("fused", 0)
-    error = compare_to_truth(fused, truth, normalize=NormalizeConfig(), tolerance_m=0.1)
+    error = compare_to_truth(fused, truth)
     errors = (Evaluation(**vars(error), aligned=True, alignment=None),)
     maps = FusedMaps(RunConfig(), fusion(rejected_name=NASTY), None, errors)
     return write_fusion_report(maps, tmp_path_factory.mktemp("report"))

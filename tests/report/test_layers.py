@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from slamfusion.config import NormalizeConfig, RunConfig
+from slamfusion.config import RunConfig
 from slamfusion.evaluation.map_error import compare_to_truth
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
@@ -86,10 +86,7 @@ def test_larger_maps_are_pictures_alone_and_the_page_says_so(tmp_path: Path) -> 
 
 def test_maps_against_the_truth_are_told_by_their_differences() -> None:
     truth, other = room("truth", 7), room("truth", 3)
-    evaluations = [
-        compare_to_truth(grid, truth, normalize=NormalizeConfig(), tolerance_m=0.1)
-        for grid in (other, room("graph", 4))
-    ]
+    evaluations = [compare_to_truth(grid, truth) for grid in (other, room("graph", 4))]
     messages, data = told(error_layers(evaluations).recorded)
     shown = {layer["name"]: layer["is_shown"] for layer in messages["layer"]}
     assert shown == {"truth": True, "truth (map)": True, "graph": False}

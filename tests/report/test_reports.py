@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from slamfusion.align.records import Alignment
-from slamfusion.config import PICTURE_FORMS, NormalizeConfig, ReportConfig, RunConfig
+from slamfusion.config import PICTURE_FORMS, ReportConfig, RunConfig
 from slamfusion.errors import AlignmentError, SlamFusionError
 from slamfusion.evaluation.map_error import compare_to_truth
 from slamfusion.grid import OccupancyGrid
@@ -82,7 +82,7 @@ def read(path: Path) -> PageReader:
 
 def evaluation(grid: OccupancyGrid, found: Alignment | None = None) -> Evaluation:
     truth = room("truth", 7)
-    error = compare_to_truth(grid, truth, normalize=NormalizeConfig(), tolerance_m=0.1)
+    error = compare_to_truth(grid, truth)
     aligned = found is None or found.accepted
     return Evaluation(**vars(error), aligned=aligned, alignment=found)
 
