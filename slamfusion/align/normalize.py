@@ -37,17 +37,20 @@ Part = TypeVar("Part", np.int8, np.int16, np.int32)
 
 
 @dataclass(frozen=True, eq=False)
-class VotingGrid:
-    """A grid ready to vote.
+class NormalizedGrid:
+    """A grid ready to be aligned and to vote.
 
     Attributes:
         grid: occupancy in percent, at the common resolution, cropped to known cells; its origin
             keeps the lattice (yaw and sub-cell offset) of the input.
         cells: (H, W) int8 in {-1, 0, 1}, the same lattice.
+        solid: (H, W) uint8, 1 at wall cells without specks of noise at the input's own resolution;
+            every wall cell if all are specks.
     """
 
     grid: OccupancyGrid
     cells: npt.NDArray[np.int8]
+    solid: npt.NDArray[np.uint8]
 
     @property
     def name(self) -> str:
@@ -72,17 +75,6 @@ class VotingGrid:
     def on(self, lattice: Lattice, transform: Pose2) -> CellBox:
         """Return the cells of another lattice that hold all of it; see ``Lattice.box_of``."""
         return lattice.box_of(self.box, self.lattice, transform)
-
-
-@dataclass(frozen=True, eq=False)
-class NormalizedGrid(VotingGrid):
-    """A grid ready to be aligned and to vote.
-
-    solid: (H, W) uint8, 1 at wall cells without specks of noise at the input's own resolution;
-        every wall cell if all are specks.
-    """
-
-    solid: npt.NDArray[np.uint8]
 
 
 def common_resolution(grids: list[OccupancyGrid], config: NormalizeConfig) -> float:
@@ -161,64 +153,31 @@ def normalize_grid(
     Raises:
         GridError: no cell of the grid is known under these thresholds.
     """
-    given, grid = grid, _without_margins(grid, config)
-    cells = trinary_cells(grid.cells, config)
-    solid = device.download(device.solid_walls(device.upload(cells)))
-    voting, box = _voting_part(given, grid, resolution, config, device, cells)
-    blocks = _blocks(solid.view(np.int8), resolution / grid.resolution, 0, device)
+    name, shape, box = grid.name, grid.cells.shape, grid.known_box()
+    if box is not None:
+        # Without unknown margins, so that a large canvas costs nothing.
+        grid = grid.crop(box)
+        cells = own_cells = trinary_cells(grid.cells, config)
+        resampled = _resample(grid, resolution, config, device)
+        if resampled is not grid:
+            cells = trinary_cells(resampled.cells, config)
+        box = known_box(cells)
+    if box is None:
+        raise GridError(
+            f"{name}: all {shape[0]} x {shape[1]} cells are unknown at "
+            f"free <= {config.free_percent:g} % and occupied >= {config.occupied_percent:g} %; "
+            "give a map with known cells or other thresholds"
+        )
     window = np.s_[box.row0 : box.row1, box.col0 : box.col1]
-    walls = (_each_part(np.maximum, blocks)[window] != 0) & (voting.cells == 1)
+    cells = np.ascontiguousarray(cells[window])
+    solid = device.download(device.solid_walls(device.upload(own_cells)))
+    blocks = _blocks(solid.view(np.int8), resolution / grid.resolution, 0, device)
+    walls = (_each_part(np.maximum, blocks)[window] != 0) & (cells == 1)
     if not walls.any():
-        walls = voting.cells == 1
+        walls = cells == 1
     walls = walls.view(np.uint8)
-    walls.flags.writeable = False
-    return NormalizedGrid(voting.grid, voting.cells, walls)
-
-
-def voting_grid(
-    grid: OccupancyGrid, resolution: float, config: NormalizeConfig, device: ComputeDevice
-) -> VotingGrid:
-    """Resample to ``resolution``, threshold, and crop; see ``normalize_grid``."""
-    return _voting_part(grid, _without_margins(grid, config), resolution, config, device)[0]
-
-
-def _without_margins(grid: OccupancyGrid, config: NormalizeConfig) -> OccupancyGrid:
-    """Return a grid without unknown margins, so that a large canvas costs nothing."""
-    box = grid.known_box()
-    if box is None:
-        raise _nothing_known(grid, config)
-    return grid.crop(box)
-
-
-def _nothing_known(grid: OccupancyGrid, config: NormalizeConfig) -> GridError:
-    return GridError(
-        f"{grid.name}: all {grid.height} x {grid.width} cells are unknown at "
-        f"free <= {config.free_percent:g} % and occupied >= {config.occupied_percent:g} %; "
-        "give a map with known cells or other thresholds"
-    )
-
-
-def _voting_part(
-    given: OccupancyGrid,
-    grid: OccupancyGrid,
-    resolution: float,
-    config: NormalizeConfig,
-    device: ComputeDevice,
-    cells: npt.NDArray[np.int8] | None = None,
-) -> tuple[VotingGrid, CellBox]:
-    """Return the voting grid of ``given``, and its box in the resampled ``grid``.
-
-    ``cells`` are those of ``grid`` as classes, where they are known.
-    """
-    resampled = _resample(grid, resolution, config, device)
-    if cells is None or resampled is not grid:
-        cells = trinary_cells(resampled.cells, config)
-    box = known_box(cells)
-    if box is None:
-        raise _nothing_known(given, config)
-    kept = np.ascontiguousarray(cells[box.row0 : box.row1, box.col0 : box.col1])
-    kept.flags.writeable = False
-    return VotingGrid(resampled.crop(box), kept), box
+    cells.flags.writeable = walls.flags.writeable = False
+    return NormalizedGrid(resampled.crop(box), cells, walls)
 
 
 def _resample(

@@ -3,7 +3,7 @@
 Alignments join maps to groups: a spanning tree, the strongest first if all pairs were aligned, else
 the most promising. Then loops are closed. An alignment between two maps of a group must agree with
 the tree. A pair without one, on ground that both maps know, must have walls that agree there
-(``ImpliedPairs``); if they contradict, it is aligned in full, and a different or missing result
+(``GroupSearch.look``); if they contradict, it is aligned in full, and a different or missing result
 contradicts the links of its path (``AlignmentGraph``). The most contradicted links are removed, and
 the groups are grown again. The poses are those that fit all links of a group best.
 
@@ -53,7 +53,7 @@ TRIES = 3
 # Least ratio of the best place to the best one elsewhere of a promising pair.
 RATIO_MIN = 1.05
 # Common ground, as a share of the smaller map's, on which walls may close a loop; they contradict
-# one only on much of it (``ImpliedPairs``).
+# one only on much of it (``GroupSearch.look``).
 LOOP_GROUND = 0.12
 # Wanted loops over each link of the trees, and links of each map.
 LOOPS, LINKS = 3, 4
@@ -123,7 +123,8 @@ class GroupSearch:
         """
         self.features, self.candidates = features, candidates
         self.align, self.ahead = align, ahead
-        self.implied = ImpliedPairs(features, pairs)
+        self.pairs = pairs
+        self._looked_at: dict[tuple[str, str, Pose2], Implied] = {}
         self.graph = AlignmentGraph(tuple(features))
         self.found: dict[Key, Alignment] = {}
         self.words: dict[Key, str] = {}
@@ -313,7 +314,7 @@ class GroupSearch:
         """Whether a pair agrees with the tree; record contradictions."""
         key = frozenset((a, b))
         if not self._is_accepted(key):
-            look = self.implied.look(a, b, transform)
+            look = self.look(a, b, transform)
             if look.is_supported:
                 link = look.alignment
                 if key in self.found:
@@ -336,6 +337,26 @@ class GroupSearch:
             return True
         self.graph.contradict(key, pair)
         return False
+
+    def look(self, reference: str, moving: str, transform: Pose2) -> Implied:
+        """Return the evidence of walls for an implied transform, metres; of each only once."""
+        key = reference, moving, transform
+        if key in self._looked_at:
+            return self._looked_at[key]
+        pair = Pair(self.features[reference], self.features[moving])
+        found = track_pair(pair, transform, self.pairs)
+        evidence, is_supported, words = found.evidence, False, "no walls"
+        if evidence is not None:
+            went = is_distinct(pair.motion_of(found.transform), pair.motion_of(transform))
+            is_supported = found.accepted and not went
+            words = (
+                f"{evidence.share:.0%} of what {evidence.common_m:.0f} m of common walls could give"
+            )
+        is_little = found.overlap < MUCH_GROUND
+        if is_little:
+            words = f"{found.overlap:.0%} of the ground in common"
+        self._looked_at[key] = Implied(found, is_supported or is_little, words, is_supported)
+        return self._looked_at[key]
 
     def _agrees(self, pair: Alignment, transform: Pose2, path: Sequence[Key]) -> bool:
         """Whether an alignment agrees with a path of others.
@@ -376,35 +397,6 @@ class Implied:
     stands: bool
     words: str
     is_supported: bool = False
-
-
-class ImpliedPairs:
-    """Looks at rejected pairs under implied transforms, at each only once."""
-
-    def __init__(self, features: Mapping[str, GridFeatures], pairs: int) -> None:
-        """Keep the maps by name, and the number of pairs of the job."""
-        self.features, self.pairs = features, pairs
-        self.seen: dict[tuple[str, str, Pose2], Implied] = {}
-
-    def look(self, reference: str, moving: str, transform: Pose2) -> Implied:
-        """Return the evidence of walls for an implied transform, metres."""
-        key = reference, moving, transform
-        if key in self.seen:
-            return self.seen[key]
-        pair = Pair(self.features[reference], self.features[moving])
-        found = track_pair(pair, transform, self.pairs)
-        evidence, is_supported, words = found.evidence, False, "no walls"
-        if evidence is not None:
-            went = is_distinct(pair.motion_of(found.transform), pair.motion_of(transform))
-            is_supported = found.accepted and not went
-            words = (
-                f"{evidence.share:.0%} of what {evidence.common_m:.0f} m of common walls could give"
-            )
-        is_little = found.overlap < MUCH_GROUND
-        if is_little:
-            words = f"{found.overlap:.0%} of the ground in common"
-        self.seen[key] = Implied(found, is_supported or is_little, words, is_supported)
-        return self.seen[key]
 
 
 # The names of two maps.

@@ -10,12 +10,10 @@ import numpy as np
 from slamfusion.align.features import FieldMemory, GridFeatures
 from slamfusion.align.normalize import (
     NormalizedGrid,
-    VotingGrid,
     check_resampling,
     coarsening,
     common_resolution,
     normalize_grid,
-    voting_grid,
 )
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig
@@ -89,11 +87,11 @@ class PreparedInputs:
             self._normalized.clear()
             return_freed_memory()
 
-    def lattice(self, name: str) -> VotingGrid:
+    def lattice(self, name: str) -> NormalizedGrid:
         """Return an input with the cells that vote; a large one is resampled at each call."""
         if self._factor == 1:
             return self._normalized[name]
-        return voting_grid(self._grids[name], self._resolution, self._config, self._device)
+        return normalize_grid(self._grids[name], self._resolution, self._config, self._device)
 
 
 def find_copies(grids: Sequence[OccupancyGrid], preferred: Collection[str] = ()) -> dict[str, str]:

@@ -20,7 +20,7 @@ from typing import Any, TypeAlias, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.align.normalize import VotingGrid
+from slamfusion.align.normalize import NormalizedGrid
 from slamfusion.align.records import Bent, FusionResult, InputRecord
 from slamfusion.compute import ComputeDevice
 from slamfusion.compute.lattice import fixed_cells, fixed_poses
@@ -48,7 +48,7 @@ I8 = npt.NDArray[np.int8]
 Result = TypeVar("Result")
 
 # Gives an input at the common resolution, by its name.
-Lattices: TypeAlias = Callable[[str], VotingGrid]
+Lattices: TypeAlias = Callable[[str], NormalizedGrid]
 
 # Bytes per fused cell of a vote in memory: cell and agreement, and a copy of both.
 VOTED_BYTES = 4
@@ -419,7 +419,7 @@ def _shown(
 
 
 def warp_onto(
-    grid: VotingGrid, transform: Pose2, lattice: Lattice, box: CellBox, device: ComputeDevice
+    grid: NormalizedGrid, transform: Pose2, lattice: Lattice, box: CellBox, device: ComputeDevice
 ) -> I8:
     """Return the cells of a grid on a box of another's lattice, nearest cell, unknown outside.
 

@@ -70,31 +70,18 @@ class PathGap:
     """One producer."""
     b: str
     """The other producer."""
-    median_m: float = field(init=False)
+    median_m: float
     """Half of the time the paths are nearer than this, metres."""
-    max_m: float = field(init=False)
+    max_m: float
     """Where they are farthest apart, metres."""
-    start_m: float = field(init=False)
+    start_m: float
     """How far apart they begin, metres."""
-    median_yaw_rad: float = field(init=False)
+    median_yaw_rad: float
     """Median of the differences of the headings, 0 to pi, radians."""
     stamps_s: npt.NDArray[np.float64] = field(repr=False)
     """(N,), of the poses of ``a`` at whose time it is known where ``b`` is."""
     gaps_m: npt.NDArray[np.float64] = field(repr=False)
     """(N,), distance to where ``b`` is then."""
-    yaws_rad: npt.NDArray[np.float64] = field(repr=False)
-    """(N,), difference of the headings then, 0 to pi."""
-
-    def __post_init__(self) -> None:
-        gaps_m = self.gaps_m
-        figures = {
-            "median_m": float(np.median(gaps_m)),
-            "max_m": float(gaps_m.max()),
-            "start_m": float(gaps_m[0]),
-            "median_yaw_rad": float(np.median(self.yaws_rad)),
-        }
-        for name, value in figures.items():
-            object.__setattr__(self, name, value)
 
     @property
     def late_m(self) -> float:
@@ -116,7 +103,9 @@ def path_gaps(paths: Mapping[str, Trajectory]) -> tuple[PathGap, ...]:
         at, there = _together(path, other)
         apart = np.hypot(*(path.poses[at, :2] - there[:, :2]).T)
         turned = np.abs(wrap_angles(path.poses[at, 2] - there[:, 2]))
-        gaps.append(PathGap(a, b, path.stamps_s[at], apart, turned))
+        figures = (np.median(apart), apart.max(), apart[0], np.median(turned))
+        median_m, max_m, start_m, yaw_rad = map(float, figures)
+        gaps.append(PathGap(a, b, median_m, max_m, start_m, yaw_rad, path.stamps_s[at], apart))
     return tuple(gaps)
 
 

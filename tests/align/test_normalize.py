@@ -10,12 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from slamfusion.align import normalize
-from slamfusion.align.normalize import (
-    NormalizedGrid,
-    common_resolution,
-    normalize_grid,
-    voting_grid,
-)
+from slamfusion.align.normalize import NormalizedGrid, common_resolution, normalize_grid
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import NormalizeConfig
 from slamfusion.errors import GridError
@@ -179,17 +174,6 @@ def test_an_extent_holds_every_corner_of_a_turned_grid(device: ComputeDevice) ->
     assert box.row1 - 2 <= row.max() < box.row1
     assert box.col0 <= col.min() < box.col0 + 2
     assert box.col1 - 2 <= col.max() < box.col1
-
-
-@pytest.mark.parametrize("ratio", [0.6, 1.0, 2.3, 3.0, 20.0])
-def test_a_grid_votes_as_what_is_aligned_of_it(device: ComputeDevice, ratio: float) -> None:
-    grid = random_grid(7, 47, 61)
-    resolution = ratio * grid.resolution
-    aligned = normalize_grid(grid, resolution, NormalizeConfig(), device)
-    voting = voting_grid(grid, resolution, NormalizeConfig(), device)
-    assert np.array_equal(voting.cells, aligned.cells)
-    assert np.array_equal(voting.grid.cells, aligned.grid.cells)
-    assert voting.grid.origin == aligned.grid.origin
 
 
 @pytest.mark.parametrize(

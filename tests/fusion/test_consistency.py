@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping
 
 import numpy as np
 import pytest
@@ -12,10 +11,9 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from slamfusion.align.decide import MatchEvidence
-from slamfusion.align.features import GridFeatures
 from slamfusion.align.records import Alignment
 from slamfusion.compute import ComputeDevice
-from slamfusion.fusion.grouping import Candidate, GroupSearch, Implied, ImpliedPairs
+from slamfusion.fusion.grouping import Candidate, GroupSearch, Implied
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
 from tests.fusion.drawings import features_of
@@ -70,21 +68,13 @@ class Search(GroupSearch):
             3,
             lambda _: None,
         )
-        self.implied = Given(self.features, 3, set(against))
+        self.against, self.asked = set(against), list[str]()
         self.align_all()
 
     device: ComputeDevice
-    implied: Given
-
-
-class Given(ImpliedPairs):
-    """Says of each pair whether its walls contradict others, and notes what was asked."""
-
-    def __init__(self, features: Mapping[str, GridFeatures], pairs: int, against: set[str]) -> None:
-        super().__init__(features, pairs)
-        self.against, self.asked = against, list[str]()
 
     def look(self, reference: str, moving: str, transform: Pose2) -> Implied:
+        """Say whether the walls of a pair contradict others, and note what was asked."""
         self.asked.append(reference + moving)
         right = pair(moving, reference).transform
         assert (transform.x, transform.y) == pytest.approx((right.x, right.y))
@@ -160,12 +150,12 @@ def test_a_rejected_pair_is_asked_about_where_the_others_put_it() -> None:
     pairs = [pair("b", "a"), pair("c", "a"), pair("c", "b", error=ASIDE, accepted=False)]
     search = Search("abc", pairs)
     assert search.run()[0][0].members == ("a", "b", "c")
-    assert search.implied.asked == ["bc"]
+    assert search.asked == ["bc"]
     # Rejected pairs to a map of no group are no question.
     apart = [pair("b", "a"), pair("c", "a", accepted=False), pair("c", "b", accepted=False)]
     search = Search("abc", apart)
     assert search.run()[0][0].members == ("a", "b")
-    assert not search.implied.asked
+    assert not search.asked
 
 
 def test_links_are_taken_back_over_a_rejected_pair_that_walls_contradict() -> None:
