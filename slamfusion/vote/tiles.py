@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import astuple, dataclass, field, replace
 from itertools import pairwise
 from typing import get_args
 
@@ -171,21 +171,19 @@ class TileVoter:
         """Blocks are this power of two cells on a side."""
         return max(0, round(math.log2(BLOCK_M / self.resolution)))
 
+    def _in_blocks(self, box: CellBox) -> CellBox:
+        """Return the rows and columns of blocks that hold a box."""
+        row0, col0, row1, col1 = astuple(box.moved(*self.first))
+        shift = self.shift
+        return CellBox(
+            row0 >> shift, col0 >> shift, (row1 - 1 >> shift) + 1, (col1 - 1 >> shift) + 1
+        )
+
     def aligned(self, box: CellBox) -> CellBox:
         """Return the smallest box of whole blocks that holds a box, inside of the fused cells."""
-        row, col = self.first
-        side = 1 << self.shift
-
-        def down(cell: int, first: int) -> int:
-            return ((cell + first) // side) * side - first
-
-        grown = CellBox(
-            down(box.row0, row),
-            down(box.col0, col),
-            down(box.row1 + side - 1, row),
-            down(box.col1 + side - 1, col),
-        )
-        return grown.overlap(self.whole) or box
+        (row, col), shift = self.first, self.shift
+        grown = CellBox(*(place << shift for place in astuple(self._in_blocks(box))))
+        return grown.moved(-row, -col).overlap(self.whole) or box
 
     def around(self, tile: CellBox) -> CellBox:
         """Return the cells that decide a tile; with ``consensus`` its blocks and the next."""
@@ -288,18 +286,7 @@ class TileVoter:
 
     def blocks(self, box: CellBox, outer: CellBox) -> tuple[slice, slice]:
         """Return which rows and columns of the blocks of an outer box hold a box."""
-        down, right = self.first
-        rows, cols = (
-            (
-                (first + offset >> self.shift) - (start + offset >> self.shift),
-                (last + offset - 1 >> self.shift) - (start + offset >> self.shift) + 1,
-            )
-            for first, last, start, offset in (
-                (box.row0, box.row1, outer.row0, down),
-                (box.col0, box.col1, outer.col0, right),
-            )
-        )
-        return slice(*rows), slice(*cols)
+        return self._in_blocks(box).slices(self._in_blocks(outer))
 
     def phase(self, box: CellBox) -> tuple[int, int]:
         """Return the row and column of the first cell of a box in its block."""
