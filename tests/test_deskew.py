@@ -9,13 +9,12 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from slamfusion.compute import open_device
 from slamfusion.config import LogConfig, RunConfig
 from slamfusion.deskew import Deskewer
-from slamfusion.geometry import Pose2, compose_poses, transform_points
+from slamfusion.geometry import F64, Pose2, compose_poses, transform_points
 from slamfusion.io import open_log
 from slamfusion.io.log import LogScan, deskewed_scans
 from slamfusion.scan import LaserScan
@@ -23,8 +22,6 @@ from slamfusion.sim import named_course, simulate, write_recording
 from slamfusion.sim.world import LIDARS
 from slamfusion.slam.session import ProducerSession, QueuedScan
 from tests.io.bags import Bag
-
-F64 = npt.NDArray[np.float64]
 
 # Walls of a room with a screen and a box, metres: x and y of both ends.
 WALLS = np.array(

@@ -26,7 +26,7 @@ from slamfusion.align.likelihood import (
 from slamfusion.align.lines import PieceLines
 from slamfusion.align.normalize import LEAST_KEPT, NormalizedGrid
 from slamfusion.compute import ComputeDevice
-from slamfusion.compute.arrays import I32, I64, DeviceArray
+from slamfusion.compute.arrays import DeviceArray
 from slamfusion.compute.lattice import PointPlanes, point_planes
 from slamfusion.compute.layout import (
     DISTANCE_MAX,
@@ -38,6 +38,7 @@ from slamfusion.compute.layout import (
     FIELD_ONE,
 )
 from slamfusion.compute.wall_pieces import PointPieces
+from slamfusion.geometry import I32, I64
 from slamfusion.io.files import available_memory, return_freed_memory
 
 P = ParamSpec("P")

@@ -17,11 +17,10 @@ import numpy as np
 from slamfusion.align.features import FIELD_TOP, FINE_TABLE, GridFeatures, spread_sample
 from slamfusion.align.lines import PieceLines
 from slamfusion.align.pair import Pair
-from slamfusion.compute.arrays import I32, I64
 from slamfusion.compute.layout import FIXED_ONE
 from slamfusion.compute.search import STEPS, CountedSide, ScoredSide
 from slamfusion.compute.wall_pieces import PieceSide
-from slamfusion.geometry import F64
+from slamfusion.geometry import F64, I32, I64
 
 # Side of a piece, metres, for walls of this width; wider walls have larger pieces.
 PIECE_M, PIECE_WIDTH_M = 1.0, 0.15

@@ -16,9 +16,7 @@ from slamfusion.align.features import DIRECTIONS, spread_sample
 from slamfusion.align.pair import Pair
 from slamfusion.compute.lattice import fixed_poses, grouped, shift_spans
 from slamfusion.compute.layout import SHIFT_LANES
-from slamfusion.geometry import F64
-
-I32 = npt.NDArray[np.int32]
+from slamfusion.geometry import F64, I32
 
 # Sixteen values fit the packed adds of the correlate kernel.
 COARSE_TOP = 15

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from slamfusion.compute.arrays import BOOL, I32, I64, U8, ArrayDevice, DeviceArray, host
+from slamfusion.compute.arrays import ArrayDevice, DeviceArray, host
 from slamfusion.compute.layout import (
     BEAM_HALF,
     BEAM_SHIFT,
@@ -37,6 +37,7 @@ from slamfusion.compute.layout import (
     WALK_TO_BEAM_SHIFT,
 )
 from slamfusion.compute.tiles import walk_cells
+from slamfusion.geometry import B8, I32, I64, U8
 
 Pools = Mapping[str, DeviceArray[Any]]
 # Tile, row and column of some cells.
@@ -175,7 +176,7 @@ class CellMeanDevice(ArrayDevice):
         beams: DeviceArray[np.int32],
         rule: ScanRule | LikelihoodRule,
         wanted: DeviceArray[np.int32],
-    ) -> BOOL:
+    ) -> B8:
         """Write into ``observed``, in place, the words of a scan's beams.
 
         Args:

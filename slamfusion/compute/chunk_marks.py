@@ -15,9 +15,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from slamfusion.compute.arrays import I32, I64, U32, ArrayDevice, DeviceArray, host
+from slamfusion.compute.arrays import ArrayDevice, DeviceArray, host
 from slamfusion.compute.layout import BEAM_HALF, BEAM_ONE, BEAM_SHIFT, FACINGS, FACINGS_ALIKE
 from slamfusion.compute.tiles import tile_places, walk_cells
+from slamfusion.geometry import I32, I64, U32
 
 # Beams that are walked at once: each step of each is a row of some arrays.
 BATCH = 4096

@@ -10,7 +10,7 @@ from typing import TypeVar
 import numpy as np
 import scipy
 
-from slamfusion.compute.arrays import I8, I64, U8, U16, ArrayDevice, DeviceArray, host
+from slamfusion.compute.arrays import ArrayDevice, DeviceArray, host
 from slamfusion.compute.lattice import cells_at, fixed_cells
 from slamfusion.compute.layout import (
     DISTANCE2_MAX,
@@ -24,6 +24,7 @@ from slamfusion.compute.layout import (
     UNKNOWN,
     WINDOW_LANES,
 )
+from slamfusion.geometry import I8, I64, U8, U16
 
 Cell = TypeVar("Cell", np.int8, np.uint8)
 # Rows or cells that one work item counts; the host adds the counts.

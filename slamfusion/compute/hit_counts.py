@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.compute.arrays import BOOL, F32, I32, I64, U8, U32, ArrayDevice, DeviceArray, host
+from slamfusion.compute.arrays import ArrayDevice, DeviceArray, host
 from slamfusion.compute.layout import (
     BEAM_ONE,
     BEAM_SHIFT,
@@ -41,6 +41,7 @@ from slamfusion.compute.layout import (
     VISITS_MASK,
 )
 from slamfusion.compute.tiles import tile_places, walk_cells
+from slamfusion.geometry import B8, F32, I32, I64, U8, U32
 
 # Beams that NumPy walks at once.
 BATCH = 4096
@@ -159,7 +160,7 @@ def _walks(scan: BeamScan, shape: tuple[int, ...]) -> tuple[I64, I64, I64]:
     return beam // max(1, len(scan.ends)), row, col
 
 
-def _is_wall(counts: U32, rule: FieldRule) -> BOOL:
+def _is_wall(counts: U32, rule: FieldRule) -> B8:
     """Return which cells are occupied."""
     hits, visits = (counts >> HITS_SHIFT).astype(np.int64), (counts & VISITS_MASK).astype(np.int64)
     return np.asarray((hits >= rule.least_hits) & (hits * SHARE_ONE > rule.occupied * visits))

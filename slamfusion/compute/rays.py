@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from slamfusion.compute.arrays import F32, ArrayDevice, DeviceArray, host
+from slamfusion.compute.arrays import ArrayDevice, DeviceArray, host
 from slamfusion.compute.layout import OPEN, RAY_FLOATS, RAY_HIT_FLOATS, WALL
+from slamfusion.geometry import F32
 
 # A ray with a smaller cosine runs along the cells' edges.
 SMALLEST_COSINE = 1e-9

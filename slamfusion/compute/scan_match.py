@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from slamfusion.compute.arrays import F32, F64, I32, I64, U8, ArrayDevice, DeviceArray, host
+from slamfusion.compute.arrays import ArrayDevice, DeviceArray, host
 from slamfusion.compute.layout import (
     CLIMBERS,
     FOUND_FLOATS,
@@ -21,6 +21,7 @@ from slamfusion.compute.layout import (
     TABLE_LAST,
     TILE,
 )
+from slamfusion.geometry import F32, F64, I32, I64, U8
 
 # A table of smooth values that changes none.
 SAME: I32 = np.arange(TABLE_LAST + 1, dtype=np.int32)

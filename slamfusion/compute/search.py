@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from slamfusion.compute.arrays import F32, F64, I32, I64, U16, ArrayDevice, DeviceArray, host
+from slamfusion.compute.arrays import ArrayDevice, DeviceArray, host
 from slamfusion.compute.lattice import PointPlanes, cells_at, fixed_cells, narrow_motions, narrowed
 from slamfusion.compute.layout import (
     DISTANCE_ONE,
@@ -27,6 +27,7 @@ from slamfusion.compute.layout import (
     SHIFT_TILE,
     UNKNOWN,
 )
+from slamfusion.geometry import F32, F64, I32, I64, U16
 
 if TYPE_CHECKING:
     from slamfusion.compute.opencl import OpenCLDevice

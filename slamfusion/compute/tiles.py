@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.compute.arrays import I32, I64, ArrayDevice, DeviceArray, host
+from slamfusion.compute.arrays import ArrayDevice, DeviceArray, host
 from slamfusion.compute.layout import (
     BEAM_SHIFT,
     COPIED_BYTES,
@@ -24,6 +24,7 @@ from slamfusion.compute.layout import (
     WALK_SHIFT,
     WALK_TO_BEAM_SHIFT,
 )
+from slamfusion.geometry import I32, I64
 
 Scalar = TypeVar("Scalar", bound=np.generic)
 

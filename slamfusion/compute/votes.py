@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.compute.arrays import BOOL, I8, I32, I64, U8, U16, ArrayDevice
+from slamfusion.compute.arrays import ArrayDevice
 from slamfusion.compute.layout import (
     ALONG_COL,
     ALONG_ROW,
@@ -30,6 +30,7 @@ from slamfusion.compute.layout import (
     WALL_OCCUPIED,
     WALL_SIDES,
 )
+from slamfusion.geometry import B8, I8, I32, I64, U8, U16
 
 if TYPE_CHECKING:
     from slamfusion.compute.opencl import OpenCLDevice
@@ -76,9 +77,7 @@ def _majority_shares(count: int, *, unknown_votes: bool) -> npt.NDArray[np.uint6
     return np.array(splits or [(count, 0, 100)], dtype=np.uint64) * EACH_LANE
 
 
-def _votes(
-    winner: I64, own: I64 | I32, cast: I64 | I32, outvoted: BOOL, phantom_cells: int
-) -> Votes:
+def _votes(winner: I64, own: I64 | I32, cast: I64 | I32, outvoted: B8, phantom_cells: int) -> Votes:
     percent = (200 * own + cast) // np.maximum(2 * cast, 1)
     agreement = np.where(cast > 0, percent, -1).astype(np.int8)
     dissent = np.zeros((-(-len(outvoted) // 8), *winner.shape), dtype=np.uint8)
@@ -227,7 +226,7 @@ class VoteDevice(ArrayDevice):
         return _votes(winner, voted, cast, outvoted, 0)
 
 
-def _walls_stand(stack: U8, amount: I32, trust: I32, ways: U8) -> tuple[BOOL, I32, BOOL, BOOL]:
+def _walls_stand(stack: U8, amount: I32, trust: I32, ways: U8) -> tuple[B8, I32, B8, B8]:
     """Return where walls stand that face some ways; see ``VoteDevice.vote_walls``.
 
     Args:
@@ -248,7 +247,7 @@ def _walls_stand(stack: U8, amount: I32, trust: I32, ways: U8) -> tuple[BOOL, I3
     return stands & (2 * (trust * near).sum(axis=0) >= VOTE_ONE), support, against, same
 
 
-def _same_wall(own: U8, at: tuple[I64, ...], ways: U8, reach: int) -> tuple[I64, I64, BOOL]:
+def _same_wall(own: U8, at: tuple[I64, ...], ways: U8, reach: int) -> tuple[I64, I64, B8]:
     """Return rows and columns (K,) of the nearest wall of one input that faces some ways.
 
     The search goes along rows and columns from ``at``, ``reach`` cells far; also returns which

@@ -10,12 +10,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from slamfusion.compute.arrays import BOOL, F64, I32, I64, U8, ArrayDevice, DeviceArray, host
+from slamfusion.compute.arrays import ArrayDevice, DeviceArray, host
 from slamfusion.compute.lattice import cells_at, fixed_cells
 from slamfusion.compute.layout import FACING_PARTS, OPPOSED_PARTS, RUN
+from slamfusion.geometry import B8, F64, I32, I64, U8
 
 
-def is_another(own: U8, other: U8, turn: int) -> BOOL:
+def is_another(own: U8, other: U8, turn: int) -> B8:
     """Return (N,) whether two walls were seen from opposite sides; 0 is an unknown facing.
 
     The own ones are turned by ``turn``, in parts of a turn.

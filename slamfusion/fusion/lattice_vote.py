@@ -28,7 +28,7 @@ from slamfusion.compute.layout import FIXED_ONE, MOST_INPUTS
 from slamfusion.config import FusionConfig
 from slamfusion.fleet import in_order
 from slamfusion.fusion.groups import Members, Progress
-from slamfusion.geometry import Pose2
+from slamfusion.geometry import I8, Pose2
 from slamfusion.grid import OCCUPIED, UNKNOWN, CellBox, OccupancyGrid
 from slamfusion.io.files import check_memory
 from slamfusion.vote.agreement import AGREEING, Trust, WallCounts, second_opinion
@@ -44,7 +44,6 @@ from slamfusion.vote.tiles import (
     worst_place,
 )
 
-I8 = npt.NDArray[np.int8]
 Result = TypeVar("Result")
 
 # Gives an input at the common resolution, by its name.

@@ -32,7 +32,7 @@ import yaml
 
 from slamfusion.config import NormalizeConfig
 from slamfusion.errors import MapFileError
-from slamfusion.geometry import F64, Pose2
+from slamfusion.geometry import F64, I8, Pose2
 from slamfusion.grid import (
     FREE,
     OCCUPIED,
@@ -52,8 +52,6 @@ from slamfusion.io.images import (
     read_image,
 )
 from slamfusion.io.yaml_file import read_yaml
-
-Cells = npt.NDArray[np.int8]
 
 _LOG = logging.getLogger(__name__)
 
@@ -141,7 +139,7 @@ class Rules:
             )
 
 
-def _trinary_cells(shade: F64, rules: Rules) -> Cells:
+def _trinary_cells(shade: F64, rules: Rules) -> I8:
     """Three classes; both comparisons strict."""
     occupancy = shade if rules.negate else 1.0 - shade
     cells = np.full(shade.shape, UNKNOWN, dtype=np.int8)
@@ -150,7 +148,7 @@ def _trinary_cells(shade: F64, rules: Rules) -> Cells:
     return cells
 
 
-def _scale_cells(shade: F64, rules: Rules) -> Cells:
+def _scale_cells(shade: F64, rules: Rules) -> I8:
     """Linear between the thresholds, rounded half to even."""
     occupancy = shade if rules.negate else 1.0 - shade
     span = rules.occupied_thresh - rules.free_thresh
@@ -159,14 +157,14 @@ def _scale_cells(shade: F64, rules: Rules) -> Cells:
     return np.clip(between, FREE, OCCUPIED).astype(np.int8)
 
 
-def _raw_cells(shade: F64, rules: Rules) -> Cells:
+def _raw_cells(shade: F64, rules: Rules) -> I8:
     """The 8-bit value itself up to 100, unknown above; ``negate`` is ignored."""
     del rules
     value = np.floor(shade * 255.0 + 0.5)
     return np.where(value <= OCCUPIED, value, UNKNOWN).astype(np.int8)
 
 
-_MODES: dict[str, Callable[[F64, Rules], Cells]] = {
+_MODES: dict[str, Callable[[F64, Rules], I8]] = {
     "trinary": _trinary_cells,
     "scale": _scale_cells,
     "raw": _raw_cells,
@@ -175,7 +173,7 @@ _MODES: dict[str, Callable[[F64, Rules], Cells]] = {
 
 def cells_from_image(
     pixels: Pixels, rules: Rules, *, legacy_unknown: bool = False
-) -> tuple[Cells, int]:
+) -> tuple[I8, int]:
     """Return the cells of a picture, and the number of unknown cells that do not read so.
 
     Those have the grey that map savers write for unknown, but trinary thresholds or an alpha
@@ -216,7 +214,7 @@ def cells_from_image(
     return cells, count
 
 
-def _colour_cells(band: npt.NDArray[Any], maxval: int, rules: Rules) -> Cells:
+def _colour_cells(band: npt.NDArray[Any], maxval: int, rules: Rules) -> I8:
     # As in nav2, trinary mode averages alpha in like a colour, so that an opaque pixel is brighter.
     averaged = band if rules.mode == "trinary" else band[..., :3]
     channels = averaged.shape[-1]
@@ -232,7 +230,7 @@ def _quanta(values: npt.NDArray[Any], maxval: int) -> F64:
     return np.floor(values.astype(np.float64) * (_QUANTUM_MAX / maxval) + 0.5)
 
 
-def with_settled_edges(cells: Cells, pixels: Pixels, rules: Rules) -> Cells:
+def with_settled_edges(cells: I8, pixels: Pixels, rules: Rules) -> I8:
     """Return cells in which grey cells on the edge of a wall are occupied or free.
 
     Anti-aliased drawings and probability maps have one or two grey cells between a wall and free
@@ -270,7 +268,7 @@ def with_settled_edges(cells: Cells, pixels: Pixels, rules: Rules) -> Cells:
 
 
 def pixels_from_cells(
-    cells: Cells, rules: Rules, image_format: str, classes: NormalizeConfig
+    cells: I8, rules: Rules, image_format: str, classes: NormalizeConfig
 ) -> npt.NDArray[np.uint8]:
     """Return the picture of the cells, top row first: grey, or grey as colours and alpha.
 

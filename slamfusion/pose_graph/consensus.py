@@ -15,11 +15,9 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from slamfusion.geometry import F64, compose_poses, invert_poses, wrap_angles
+from slamfusion.geometry import F64, I64, compose_poses, invert_poses, wrap_angles
 from slamfusion.pose_graph.least_squares import Measurements
 from slamfusion.pose_graph.uncertainty import inverted, moved, turned
-
-Indices = npt.NDArray[np.int64]
 
 # Poses between the ends of two near closures: at first, and at most if few have mates.
 NEAR_POSES, FAR_POSES = 20, 160
@@ -38,7 +36,7 @@ FEWEST_LOOPS = 20
 
 def find_consensus(
     measured: Measurements, may_be_outlier: npt.NDArray[np.bool_]
-) -> tuple[Indices, float]:
+) -> tuple[I64, float]:
     """Find the possible outliers, (M,) bool, that support each other.
 
     Returns:
@@ -84,7 +82,7 @@ class _Odometry:
     """
 
     def __init__(
-        self, edges: Indices, motions: F64, covariances: F64, is_trusted: npt.NDArray[np.bool_]
+        self, edges: I64, motions: F64, covariances: F64, is_trusted: npt.NDArray[np.bool_]
     ) -> None:
         count = int(edges.max()) + 1
         steps, noises = np.zeros((count, 3)), np.zeros((count, 3, 3))
@@ -110,7 +108,7 @@ class _Odometry:
         noises = moved(turned(noises, poses[acts_at, 2]), -poses[acts_at])
         self._sums = np.cumsum(noises, axis=0)
 
-    def covariance(self, start: Indices, end: Indices, point: F64) -> F64:
+    def covariance(self, start: I64, end: I64, point: F64) -> F64:
         """Return the covariance of the way between poses at a point that goes with one of them."""
         first, last = np.minimum(start, end), np.maximum(start, end)
         return moved(self._sums[last] - self._sums[first], point)
@@ -122,20 +120,20 @@ class _Closures:
     ``motion`` (C, 3) is the later pose in the frame of the earlier.
     """
 
-    def __init__(self, edges: Indices, motions: F64, covariances: F64) -> None:
+    def __init__(self, edges: I64, motions: F64, covariances: F64) -> None:
         # Covariances are in the axes of the measured pose: the later one where it is forward.
         self._is_forward, self._covariance = edges[:, 0] < edges[:, 1], covariances
         self.first, self.last = edges.min(axis=1), edges.max(axis=1)
         self.motion = np.where(self._is_forward[:, None], motions, invert_poses(motions))
 
-    def noise(self, which: Indices, first: F64, last: F64, point: F64) -> F64:
+    def noise(self, which: I64, first: F64, last: F64, point: F64) -> F64:
         """Return the covariances at points that go with the later pose, in the world's axes."""
         acts_at = np.where(self._is_forward[which, None], last, first)
         own = turned(self._covariance[which], acts_at[:, 2])
         return moved(own, point[:, :2] - acts_at[:, :2])
 
 
-def _loop_errors(odometry: _Odometry, closures: _Closures, pairs: Indices) -> F64:
+def _loop_errors(odometry: _Odometry, closures: _Closures, pairs: I64) -> F64:
     """Return the squared errors of the loops that pairs of closures make, in their deviations.
 
     The later pose of one closure is placed twice in the frame of the odometry: by that closure, and

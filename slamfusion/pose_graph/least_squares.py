@@ -26,7 +26,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from slamfusion.geometry import F64, wrap_angles
+from slamfusion.geometry import F64, I64, wrap_angles
 
 
 class Measurements:
@@ -94,8 +94,6 @@ class Measurements:
         return wrap_angles(yaw[self.end] - yaw[self.start] - self.motion[2])
 
 
-Indices = npt.NDArray[np.int64]
-
 # Columns that SuperLU updates together; of 1 to 20 the fastest on matrices of 3 x 3 blocks.
 PANEL_SIZE = 4
 
@@ -113,7 +111,7 @@ def factorise(matrix: scipy.sparse.csc_matrix, order: str = "NATURAL") -> Any:
     )
 
 
-def elimination_order(edges: Indices, count: int) -> Indices:
+def elimination_order(edges: I64, count: int) -> I64:
     """Return the (count,) nodes of a graph in an order that keeps its factor sparse."""
     if count < 3:
         return np.arange(count)

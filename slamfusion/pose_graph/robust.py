@@ -27,7 +27,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.geometry import F64
+from slamfusion.geometry import B8, F64
 from slamfusion.pose_graph.consensus import find_consensus
 from slamfusion.pose_graph.least_squares import (
     NEGLIGIBLE,
@@ -39,8 +39,6 @@ from slamfusion.pose_graph.least_squares import (
     rotations_first,
 )
 from slamfusion.pose_graph.uncertainty import Gates, gates
-
-Mask = npt.NDArray[np.bool_]
 
 # Squared error above which a closure is false: the quantile 0.999 of chi-square, 3 degrees.
 LIMIT = 16.27
@@ -89,13 +87,13 @@ class Problem:
     measured: Measurements
     poses: F64
     fixed: tuple[int, ...]
-    may_be_outlier: Mask
-    was_outlier: Mask | None
+    may_be_outlier: B8
+    was_outlier: B8 | None
     tolerated: int
     max_iterations: int
     tolerance: float
 
-    def equations(self, used: Mask) -> NormalEquations:
+    def equations(self, used: B8) -> NormalEquations:
         """Return the normal equations of some edges, (M,) bool."""
         measured = self.measured if used.all() else self.measured.chosen(used)
         return NormalEquations(measured, len(self.poses), self.fixed)
@@ -236,13 +234,13 @@ class _Search:
         self._cost = np.inf
         self._iterations = 0
         self._is_converged = self._is_thinned = False
-        self._equations: tuple[Mask, NormalEquations] | None = None
+        self._equations: tuple[B8, NormalEquations] | None = None
 
     def inlier_set(self) -> InlierSet:
         weights = (self._trusted | self.used).astype(np.float64)
         return InlierSet(self.poses, weights, self._iterations, self._is_converged)
 
-    def propose(self, closures: Mask, start: F64 | None, *, at_once: bool = True) -> Steps[bool]:
+    def propose(self, closures: B8, start: F64 | None, *, at_once: bool = True) -> Steps[bool]:
         """Fit some closures, leave out those that disagree with the rest, keep what is better."""
         if at_once or start is None:
             descent = yield from self._fit(closures, start)
@@ -289,7 +287,7 @@ class _Search:
         if not (squares[self._problem.may_be_outlier] > self._limit).any():
             self._keep_better(descent, squares, self._problem.may_be_outlier)
 
-    def grow(self, agreement: float, alone: Mask | None = None) -> Steps[None]:
+    def grow(self, agreement: float, alone: B8 | None = None) -> Steps[None]:
         """Add closures that agree with the graph, the best first, until none does."""
         fitting = self._outside() & (self._squares <= self._limit)
         if fitting.any() and not (yield from self.propose(self.used | fitting, self.poses)):
@@ -320,7 +318,7 @@ class _Search:
                 found = self._against_graph(asked)
                 yield
 
-    def _outside(self) -> Mask:
+    def _outside(self) -> B8:
         """Return the closures that are outside the inlier set, (M,) bool."""
         return self._problem.may_be_outlier & ~self.used
 
@@ -331,7 +329,7 @@ class _Search:
         _, equations = self._equations_of(self._trusted | self.used, superfluous=0.0)
         return gates(equations, self.poses, self._problem.measured.chosen(asked))
 
-    def _graduate(self, closures: Mask, poses: F64) -> Steps[tuple[Descent, F64, Mask]]:
+    def _graduate(self, closures: B8, poses: F64) -> Steps[tuple[Descent, F64, B8]]:
         """Harden the weights of closures from nearly equal pull to all or nothing."""
         measured = self._problem.measured
         squares = measured.squared_errors(poses)
@@ -359,8 +357,8 @@ class _Search:
         return descent, squares, kept
 
     def _equations_of(
-        self, used: Mask, superfluous: float = SUPERFLUOUS
-    ) -> tuple[Mask, NormalEquations]:
+        self, used: B8, superfluous: float = SUPERFLUOUS
+    ) -> tuple[B8, NormalEquations]:
         """Return normal equations that contain some edges, reusing the last ones if possible."""
         if self._equations is not None:
             there, _ = self._equations
@@ -370,14 +368,14 @@ class _Search:
         self._equations = (used, self._problem.equations(used))
         return self._equations
 
-    def _fit(self, closures: Mask, start: F64 | None) -> Steps[Descent]:
+    def _fit(self, closures: B8, start: F64 | None) -> Steps[Descent]:
         _, equations = self._equations_of(self._trusted | closures, superfluous=0.0)
         yield
         descent = yield from self._problem.descend(equations, start)
         self._iterations += descent.iterations
         return descent
 
-    def _keep_better(self, descent: Descent, squares: F64, closures: Mask) -> bool:
+    def _keep_better(self, descent: Descent, squares: F64, closures: B8) -> bool:
         """Accept a fit of a lower truncated sum of squares, or an equal one with more closures."""
         truncated = np.minimum(squares, self._limit)
         cost = float(np.where(self._problem.may_be_outlier, truncated, squares).sum())

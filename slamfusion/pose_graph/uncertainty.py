@@ -6,9 +6,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from slamfusion.geometry import F64
+from slamfusion.geometry import F64, I64
 from slamfusion.pose_graph.least_squares import Measurements, NormalEquations, factorise
 
 
@@ -39,8 +38,6 @@ def _turns(yaw_rad: F64) -> F64:
     return turn
 
 
-Indices = npt.NDArray[np.int64]
-
 # Pairs solved for together: with six, BLAS wakes threads that take five to ten times as long.
 PAIRS_AT_ONCE = 3
 # Half axes of the ellipsoid of all motions: this many deviations of the places, and half a turn.
@@ -63,7 +60,7 @@ class Gates:
     chances: F64
 
 
-def relative_covariances(equations: NormalEquations, poses: F64, pairs: Indices) -> F64:
+def relative_covariances(equations: NormalEquations, poses: F64, pairs: I64) -> F64:
     """Return covariances of the second poses relative to the first, pairs (K, 2), (K, 3, 3).
 
     Of x, y in metres and yaw in radians, in the world's axes, at poses (N, 3) where the sum of

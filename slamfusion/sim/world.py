@@ -12,7 +12,7 @@ import numpy.typing as npt
 from slamfusion.compute import ComputeDevice
 from slamfusion.compute.layout import GLASS, OPEN, WALL
 from slamfusion.config import LidarConfig, ObstacleConfig, PersonConfig
-from slamfusion.geometry import F64, Pose2, compose_poses
+from slamfusion.geometry import F32, F64, Pose2, compose_poses
 from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 
 
@@ -83,8 +83,6 @@ def tilt_of(world: World, poses: F64) -> F64:
         tilt[:, 1] -= rise * np.sin(heading)
     return tilt
 
-
-F32 = npt.NDArray[np.float32]
 
 # Kinect's noise is the axial one of Nguyen, Izadi and Lovell (3DIMPVT 2012), 0.0012 m and
 # 0.0019 (r - 0.4 m)^2 / m, rounded to the terms in 1 and r^2; a laser scan is made of every second

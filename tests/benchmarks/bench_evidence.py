@@ -23,7 +23,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 from rich.table import Table
 
 from slamfusion.compute import ComputeDevice, open_device
@@ -33,7 +32,7 @@ from slamfusion.evidence.displacement import find_displacements
 from slamfusion.evidence.parting import PART_M
 from slamfusion.evidence.predictive import score_paths
 from slamfusion.evidence.recommendation import choose_path
-from slamfusion.geometry import compose_poses, invert_poses
+from slamfusion.geometry import F64, compose_poses, invert_poses
 from slamfusion.io import LogScan
 from slamfusion.jobs.fused_path import fuse_weighed_paths
 from slamfusion.slam.registry import BUILT_IN
@@ -41,7 +40,6 @@ from slamfusion.trajectory import Trajectory
 from tests.benchmarks.record import add_record_option, console_for
 from tests.support.evidence_drives import drive_trials, key_of, make_drive, read_drive
 
-F64 = npt.NDArray[np.float64]
 TRUTH, FUSED = "truth", "fused"
 # Drives of this condition are cut where the true path jumps by this, metres.
 KIDNAPPING, JUMP_M = "kidnapping", 1.0

@@ -38,7 +38,7 @@ import numpy.typing as npt
 from rich.console import Console
 from rich.table import Table
 
-from slamfusion.geometry import compose_poses, invert_poses
+from slamfusion.geometry import F64, compose_poses, invert_poses
 from slamfusion.pose_graph.g2o import read_g2o
 from slamfusion.pose_graph.graph import PoseGraph
 from slamfusion.pose_graph.least_squares import (
@@ -54,7 +54,6 @@ from tests.pose_graph.graphs import POSE_GRAPHS, apart, with_false_closures
 from tests.pose_graph.gtsam_oracle import GtsamGraph, has_gtsam
 
 T = TypeVar("T")
-Array = npt.NDArray[np.float64]
 
 NAMES = ("INTEL_1228", "intel", "MIT", "CSAIL", "M3500", "ais2klinik", "city10000")
 # Where all closures at once still finish, true and false.
@@ -89,7 +88,7 @@ def load(name: str) -> PoseGraph:
     return read_g2o(POSE_GRAPHS / f"{name}.g2o.gz").graph
 
 
-def in_all(graph: PoseGraph) -> tuple[Array, int]:
+def in_all(graph: PoseGraph) -> tuple[F64, int]:
     """Return our solution and the steps it took, nothing known beforehand."""
     measured = Measurements(graph.edges, graph.motions, graph.information)
     equations = NormalEquations(measured, len(graph), (0,))
@@ -135,13 +134,13 @@ def progress(*words: object) -> None:
     Console(stderr=True, width=200).print(*words)
 
 
-def best_known(graph: PoseGraph, *starts: Array) -> float:
+def best_known(graph: PoseGraph, *starts: F64) -> float:
     """Return the least chi-square, g2o's, that GTSAM finds from some starts."""
     rival_graph = GtsamGraph(graph, like_g2o=len(graph) <= SLOW_POSES)
     return min(float(chi2_of(graph, rival_graph.optimize(start)).sum()) for start in starts)
 
 
-def rival(graph: GtsamGraph, start: Array, repetitions: int) -> tuple[float, Array, str]:
+def rival(graph: GtsamGraph, start: F64, repetitions: int) -> tuple[float, F64, str]:
     """Return GTSAM's time and poses, and by which solver where it is not the usual one."""
     theirs_s, found = timed(partial(graph.optimize, start), repetitions)
     if len(start) > SLOW_POSES:
@@ -240,7 +239,7 @@ def online(names: tuple[str, ...], methods: tuple[Robust, ...], seeds: int) -> T
     return table
 
 
-def drive(graph: PoseGraph, method: Robust) -> tuple[Array, npt.NDArray[np.bool_], Array]:
+def drive(graph: PoseGraph, method: Robust) -> tuple[F64, npt.NDArray[np.bool_], F64]:
     """Add a graph's poses one by one and solve now and then.
 
     Returns:

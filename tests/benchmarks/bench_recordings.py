@@ -16,8 +16,6 @@ import argparse
 from collections.abc import Mapping
 from pathlib import Path
 
-import numpy as np
-import numpy.typing as npt
 import pandas as pd
 from rich.table import Table
 
@@ -31,6 +29,7 @@ from slamfusion.evidence.fused_path import fuse_paths, trust_in_paths
 from slamfusion.evidence.path_frames import find_modes, lay_paths
 from slamfusion.evidence.predictive import score_paths
 from slamfusion.evidence.refined_path import refine_borne_out
+from slamfusion.geometry import F64
 from slamfusion.grid import OCCUPIED
 from slamfusion.io import LogScan, open_log, read_trajectory
 from slamfusion.jobs.cases import case_of
@@ -42,7 +41,6 @@ from slamfusion.trajectory import Trajectory
 from tests.benchmarks.record import add_record_option, console_for
 from tests.support.datasets import MEASURED
 
-F64 = npt.NDArray[np.float64]
 RESOLUTION_M = 0.05
 CONSENSUS, FUSED, REFINED = "consensus of poses", "fused", "refined"
 

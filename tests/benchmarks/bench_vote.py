@@ -54,13 +54,11 @@ from slamfusion.evaluation.distances import sample_on_lattice, wall_centres
 from slamfusion.evaluation.doubled_walls import doubled_wall_share
 from slamfusion.evaluation.wall_faces import Nearness, wall_thickness
 from slamfusion.fusion.pipeline import fuse_grids, vote_again
-from slamfusion.geometry import Pose2
+from slamfusion.geometry import F64, Pose2
 from slamfusion.grid import IDENTITY, OCCUPIED, UNKNOWN, CellBox, OccupancyGrid, trinary_cells
 from slamfusion.vote.walls import SAME_WALL_M
 from tests.benchmarks.record import add_record_option, console_for
 from tests.benchmarks.vote_cases import CACHE, KINDS, Case, cases
-
-F64 = npt.NDArray[np.float64]
 
 THRESHOLDS = NormalizeConfig()
 TOLERANCE_M = EvaluateConfig().tolerance_m

@@ -18,14 +18,13 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 import scipy
 
 from slamfusion.compute import ComputeDevice, open_device
 from slamfusion.config import ExperimentConfig, FailuresConfig, NormalizeConfig, RunConfig
 from slamfusion.experiments.fusions import against_truth
 from slamfusion.experiments.trials import Trial, failure_trials
-from slamfusion.geometry import Pose2
+from slamfusion.geometry import I8, Pose2
 from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, CellBox, OccupancyGrid, trinary_cells
 from slamfusion.io.map_server import load_map
 from slamfusion.sim import named_course, thin_walls
@@ -34,8 +33,6 @@ from slamfusion.slam.registry import BUILT_IN
 from tests.support.datasets import DATASETS, MAPS
 from tests.support.degrade import Degradation, degrade_map
 from tests.support.evidence_drives import make_drive
-
-I8 = npt.NDArray[np.int8]
 
 KINDS = ("five-slams", "degraded", "pairs", "failures")
 # Recorded maps that lie beside the folder of the tests' data sets.

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
-from slamfusion.geometry import Pose2, compose_poses, invert_poses
+from slamfusion.geometry import F64, Pose2, compose_poses, invert_poses
 from slamfusion.io import LogScan
 from slamfusion.scan import LaserScan
 from slamfusion.trajectory import Trajectory
 
-F64 = npt.NDArray[np.float64]
 BEAMS = 90
 FAR_M = 12.0
 

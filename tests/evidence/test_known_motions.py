@@ -6,7 +6,6 @@ import math
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -15,11 +14,10 @@ from slamfusion.evidence.beams import JudgedScans, judged_scans
 from slamfusion.evidence.known_motions import KnownMotions, turned
 from slamfusion.evidence.path_frames import fit_frame
 from slamfusion.evidence.refined_path import refine_path
-from slamfusion.geometry import compose_poses, invert_poses
+from slamfusion.geometry import F64, compose_poses, invert_poses
 from slamfusion.trajectory import Trajectory
 from tests.evidence.rooms import box, circuit, recorded
 
-F64 = npt.NDArray[np.float64]
 # A corridor whose ends are out of sight of its middle half, with a door frame near either end.
 CORRIDOR_M = 40.0
 CORRIDOR = np.array(

@@ -14,10 +14,10 @@ from hypothesis import strategies as st
 from slamfusion.compute import ComputeDevice, NumpyDevice
 from slamfusion.compute.hit_counts import BeamScan, FieldRule
 from slamfusion.compute.layout import MOST_BEAMS, MOST_REACH, TILE
+from slamfusion.geometry import I32
 from tests.support.examples import examples
 from tests.support.score_fields import score_field_of
 
-I32 = npt.NDArray[np.int32]
 Pools = list[Any]
 SEEDS = st.integers(0, 2**32 - 1)
 KINDS = (np.uint32, np.uint32, np.uint8)

@@ -8,8 +8,8 @@ import numpy.typing as npt
 from slamfusion.compute import ComputeDevice
 from slamfusion.compute.cell_means import LikelihoodRule
 from slamfusion.compute.layout import BEAM_ONE, TILE
+from slamfusion.geometry import I32
 
-I32 = npt.NDArray[np.int32]
 FALLING = np.arange(255, -1, -1).astype(np.uint8)
 UNSEEN = 20
 MEAN_ONE = 4112

@@ -11,11 +11,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from slamfusion.compute import ComputeDevice, NumpyDevice
+from slamfusion.geometry import F32
 from tests.support.examples import examples
 
 TWIN = NumpyDevice()
 
-F32 = npt.NDArray[np.float32]
 SEEDS = st.integers(0, 2**32 - 1)
 
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.geometry import compose_poses, invert_poses
+from slamfusion.geometry import F64, compose_poses, invert_poses
 from slamfusion.pose_graph.graph import PoseGraph, loop_closing
 from tests.support.datasets import DATASETS
 
@@ -16,17 +16,13 @@ POSE_GRAPHS = DATASETS / "pose-graphs"
 ABSENT = f"the recorded pose graphs are not at {POSE_GRAPHS}; set SLAMFUSION_DATASETS"
 INFORMATION = np.array([[100.0, 10.0, 2.0], [10.0, 60.0, -3.0], [2.0, -3.0, 400.0]])
 
-Array = npt.NDArray[np.float64]
 
-
-def between(poses: Array, edges: npt.NDArray[np.int64]) -> Array:
+def between(poses: F64, edges: npt.NDArray[np.int64]) -> F64:
     """Return the motions that edges would measure without any error."""
     return compose_poses(invert_poses(poses[edges[:, 0]]), poses[edges[:, 1]])
 
 
-def drawn(
-    poses: Array, edges: npt.NDArray[np.int64], noise: float = 0.0, seed: int = 0
-) -> PoseGraph:
+def drawn(poses: F64, edges: npt.NDArray[np.int64], noise: float = 0.0, seed: int = 0) -> PoseGraph:
     """Return a graph of true poses, measured with noise in the deviations of ``INFORMATION``.
 
     Args:
@@ -47,7 +43,7 @@ def drawn(
     )
 
 
-def ring(count: int = 20, radius_m: float = 5.0) -> tuple[Array, npt.NDArray[np.int64]]:
+def ring(count: int = 20, radius_m: float = 5.0) -> tuple[F64, npt.NDArray[np.int64]]:
     """Return poses around a circle and the edges along it, the last one closing it."""
     angle = 2.0 * math.pi * np.arange(count) / count
     poses = np.stack((radius_m * np.sin(angle), radius_m * (1.0 - np.cos(angle)), angle), axis=1)
@@ -55,7 +51,7 @@ def ring(count: int = 20, radius_m: float = 5.0) -> tuple[Array, npt.NDArray[np.
     return poses, steps
 
 
-def laps(count: int = 40, rounds: int = 4, every: int = 4) -> tuple[Array, npt.NDArray[np.int64]]:
+def laps(count: int = 40, rounds: int = 4, every: int = 4) -> tuple[F64, npt.NDArray[np.int64]]:
     """Return poses several times around a circle, each lap tied to the one before."""
     poses, _ = ring(count)
     poses = np.tile(poses, (rounds, 1)) + np.arange(rounds).repeat(count)[:, None] * [
@@ -99,7 +95,7 @@ def with_false_closures(graph: PoseGraph, share: float, seed: int, kind: str) ->
     )
 
 
-def apart(one: Array, other: Array) -> float:
+def apart(one: F64, other: F64) -> float:
     """Return how far two solutions are apart, as a share of the extent of the first.
 
     The root mean square distance of the poses after the best rigid motion, over the diagonal of the

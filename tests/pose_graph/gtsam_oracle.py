@@ -6,12 +6,9 @@ from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from slamfusion.geometry import wrap_angle
+from slamfusion.geometry import F64, wrap_angle
 from slamfusion.pose_graph.graph import PoseGraph
-
-Array = npt.NDArray[np.float64]
 
 
 def has_gtsam() -> bool:
@@ -45,11 +42,11 @@ class GtsamGraph:
         tight = gtsam.noiseModel.Isotropic.Sigma(3, 1e-3)
         self._factors.add(gtsam.PriorFactorPose2(0, gtsam.Pose2(*graph.poses[0]), tight))
 
-    def chi2(self, poses: Array) -> float:
+    def chi2(self, poses: F64) -> float:
         """Return chi-square as GTSAM counts it."""
         return 2.0 * float(self._factors.error(self._values(poses)))
 
-    def optimize(self, start: Array, solver: str = "MULTIFRONTAL_CHOLESKY") -> Array:
+    def optimize(self, start: F64, solver: str = "MULTIFRONTAL_CHOLESKY") -> F64:
         """Return the poses that Levenberg and Marquardt find from a start, (N, 3).
 
         Args:
@@ -66,7 +63,7 @@ class GtsamGraph:
         poses = [best.atPose2(index) for index in range(self._count)]
         return np.array([(pose.x(), pose.y(), pose.theta()) for pose in poses])
 
-    def relative_covariance(self, poses: Array, first: int, second: int) -> Array:
+    def relative_covariance(self, poses: F64, first: int, second: int) -> F64:
         """Return the covariance of one pose in the frame of another, (3, 3), axes of the second."""
         values = self._values(poses)
         marginals = self._gtsam.Marginals(self._factors, values)
@@ -78,19 +75,19 @@ class GtsamGraph:
         jacobian = np.hstack((-between.inverse().AdjointMap(), np.eye(3)))
         return np.asarray(jacobian @ joint @ jacobian.T)
 
-    def _values(self, poses: Array) -> Any:
+    def _values(self, poses: F64) -> Any:
         values = self._gtsam.Values()
         for index, pose in enumerate(poses):
             values.insert(index, self._gtsam.Pose2(*pose))
         return values
 
 
-def _g2o_error(start: int, end: int, motion: Array) -> Any:
+def _g2o_error(start: int, end: int, motion: F64) -> Any:
     """Return g2o's error of an edge as GTSAM wants it: by poses in their own axes."""
     cos_z, sin_z = np.cos(motion[2]), np.sin(motion[2])
     turn = np.array([[cos_z, sin_z], [-sin_z, cos_z]])
 
-    def error(_: Any, values: Any, jacobians: Any) -> Array:
+    def error(_: Any, values: Any, jacobians: Any) -> F64:
         one, two = values.atPose2(start), values.atPose2(end)
         yaw = wrap_angle(two.theta() - one.theta())
         cos, sin = np.cos(one.theta()), np.sin(one.theta())

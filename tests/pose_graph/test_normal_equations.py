@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
-from slamfusion.geometry import Pose2, wrap_angle
+from slamfusion.geometry import F64, Pose2, wrap_angle
 from slamfusion.pose_graph.least_squares import Measurements, NormalEquations
 
-Array = npt.NDArray[np.float64]
 
-
-def random_graph(seed: int, count: int = 12) -> tuple[Measurements, Array]:
+def random_graph(seed: int, count: int = 12) -> tuple[Measurements, F64]:
     """Edges any way round, some twice, between poses that do not fit them."""
     rng = np.random.default_rng(seed)
     chain = np.stack((np.arange(count - 1), np.arange(1, count)), axis=1)
@@ -27,7 +24,7 @@ def random_graph(seed: int, count: int = 12) -> tuple[Measurements, Array]:
     return Measurements(edges, motions, information), poses
 
 
-def dense_jacobian(measured: Measurements, poses: Array) -> Array:
+def dense_jacobian(measured: Measurements, poses: F64) -> F64:
     """Derivatives of all errors by all poses, (3 M, 3 N), by differences."""
     columns = []
     for index in range(poses.size):

@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
-from slamfusion.geometry import compose_poses, invert_poses, wrap_angles
+from slamfusion.geometry import F64, compose_poses, invert_poses, wrap_angles
 from slamfusion.pose_graph.graph import PoseGraph
 from slamfusion.pose_graph.least_squares import Measurements, NormalEquations
 from slamfusion.pose_graph.optimize import optimize
 from slamfusion.pose_graph.uncertainty import gates, relative_covariances, turned
 from tests.pose_graph.graphs import INFORMATION, between, drawn, laps
 from tests.pose_graph.gtsam_oracle import GtsamGraph, has_gtsam
-
-Array = npt.NDArray[np.float64]
 
 
 def solved(seed: int = 0) -> tuple[PoseGraph, NormalEquations]:
@@ -27,7 +24,7 @@ def solved(seed: int = 0) -> tuple[PoseGraph, NormalEquations]:
     return graph, equations
 
 
-def dense_relative(graph: PoseGraph, equations: NormalEquations, pair: tuple[int, int]) -> Array:
+def dense_relative(graph: PoseGraph, equations: NormalEquations, pair: tuple[int, int]) -> F64:
     """Covariance of the second pose in the frame of the first, by differences and an inverse."""
     inverse = np.linalg.inv(equations.matrix().toarray())
     whole = np.zeros((3 * len(graph), 3 * len(graph)))
@@ -47,13 +44,13 @@ def dense_relative(graph: PoseGraph, equations: NormalEquations, pair: tuple[int
     return turned(in_axes_of_first[None], np.array([turn]))[0]
 
 
-def covariance_of(equations: NormalEquations, poses: Array, pair: tuple[int, int]) -> Array:
+def covariance_of(equations: NormalEquations, poses: F64, pair: tuple[int, int]) -> F64:
     """Return (3, 3) the covariance of a pair's second pose, in its axes, seen from the first."""
     in_world = relative_covariances(equations, poses, np.array([pair]))
     return turned(in_world, -poses[[pair[1]], 2])[0]
 
 
-def relative(poses: Array, pair: tuple[int, int]) -> Array:
+def relative(poses: F64, pair: tuple[int, int]) -> F64:
     return compose_poses(invert_poses(poses[[pair[0]]]), poses[[pair[1]]])[0]
 
 

@@ -10,11 +10,10 @@ from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
 import numpy as np
-import numpy.typing as npt
 
 from slamfusion.compute import ComputeDevice, NumpyDevice
 from slamfusion.config import GraphConfig
-from slamfusion.geometry import Pose2, row_of, wrap_angle
+from slamfusion.geometry import F64, U8, Pose2, row_of, wrap_angle
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io.log import LogScan
 from slamfusion.json_values import plain
@@ -26,8 +25,6 @@ from slamfusion.slam.graph.submap import Submap
 from slamfusion.trajectory import Trajectory
 from tests.slam.drives import CELL_M
 
-F64 = npt.NDArray[np.float64]
-U8 = npt.NDArray[np.uint8]
 S = TypeVar("S", bound=Mapper)
 NO_LASER = np.zeros(2)
 

@@ -7,9 +7,8 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
-from slamfusion.geometry import Pose2
+from slamfusion.geometry import F64, Pose2
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io.map_server import load_map
 from tests.support.datasets import DATASETS
@@ -20,7 +19,6 @@ FOLDERS = tuple(
     for folder in (base / "maps" / "halmstad" for base in (DATASETS, DATASETS.parent / "second"))
     if folder.exists()
 )
-F64 = npt.NDArray[np.float64]
 
 
 @cache

@@ -16,14 +16,11 @@ from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
-import numpy.typing as npt
 
-from slamfusion.geometry import Pose2, fit_motion
+from slamfusion.geometry import F64, Pose2, fit_motion
 from slamfusion.grid import UNKNOWN, OccupancyGrid
 from slamfusion.sim import draw_building
 from tests.support.degrade import Degradation, degrade_map
-
-F64 = npt.NDArray[np.float64]
 
 RESOLUTION = 0.05
 # Wings of a floor, one beside the other, metres: each a corridor with rooms on both sides.

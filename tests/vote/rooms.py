@@ -12,13 +12,11 @@ import numpy.typing as npt
 from slamfusion.compute import NumpyDevice
 from slamfusion.config import FusionMode, VoteConfig
 from slamfusion.fusion import FusionResult
-from slamfusion.geometry import Pose2
+from slamfusion.geometry import I8, Pose2
 from slamfusion.grid import CellBox, OccupancyGrid
 from slamfusion.vote.agreement import Trust
 from slamfusion.vote.tiles import TileVoter
 from tests.fusion.test_lattice_vote import SIZE, voted
-
-I8 = npt.NDArray[np.int8]
 
 # A room, its outer walls, and one wall inside from the south up to row 30.
 HEIGHT, WIDTH, EDGE, INNER = 60, 100, 5, 50

@@ -5,7 +5,6 @@ from __future__ import annotations
 from itertools import permutations
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from slamfusion.compute import NumpyDevice
@@ -17,10 +16,9 @@ from slamfusion.compute.layout import (
     WALL_OCCUPIED,
     WALL_SIDES,
 )
+from slamfusion.geometry import I8
 from slamfusion.vote.walls import margin_cells, wall_codes
 from tests.vote.rooms import EDGE, INNER, bent, cells_of, fuse, moved, room
-
-I8 = npt.NDArray[np.int8]
 
 
 def walls_per_row(cells: I8) -> list[int]:

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from slamfusion.align.decide import WALLS_MIN
 from slamfusion.align.normalize import pool_cells
@@ -15,11 +14,9 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.compute.lattice import fixed_poses
 from slamfusion.compute.layout import FIXED_ONE
 from slamfusion.config import NormalizeConfig
-from slamfusion.geometry import Pose2
+from slamfusion.geometry import I8, Pose2
 from slamfusion.grid import UNKNOWN, CellBox, OccupancyGrid, known_box
 from slamfusion.vote.lattice import SAME_RESOLUTION, Lattice
-
-I8 = npt.NDArray[np.int8]
 
 # Share of the old walls.
 STANDING_MIN = 0.4

@@ -15,14 +15,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 
 from slamfusion.errors import SlamFusionError
-from slamfusion.geometry import Pose2, row_of
+from slamfusion.geometry import I8, Pose2, row_of
 from slamfusion.grid import UNKNOWN, CellBox, OccupancyGrid
 from slamfusion.vote.lattice import Lattice
-
-I8 = npt.NDArray[np.int8]
 
 KIND = b"slamfusion live state"
 VERSION = 2

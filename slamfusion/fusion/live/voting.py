@@ -22,15 +22,13 @@ from slamfusion.fusion.lattice_vote import bent_maps
 from slamfusion.fusion.live.inputs import Input, Reason
 from slamfusion.fusion.live.layers import Layer, carry
 from slamfusion.fusion.live.state import LiveState
-from slamfusion.geometry import Pose2
+from slamfusion.geometry import I8, Pose2
 from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, CellBox, OccupancyGrid, trinary_cells
 from slamfusion.io.files import check_memory
 from slamfusion.vote.agreement import Trust, WallCounts, count_walls, trust_of
 from slamfusion.vote.lattice import Lattice
 from slamfusion.vote.tiles import TileVoter
 from slamfusion.vote.walls import codes_on, margin_cells
-
-I8 = npt.NDArray[np.int8]
 
 # Bytes of a fused cell with its copies, and of a cell of a layer.
 CELL_BYTES, LAYER_BYTES = 6, 2

@@ -16,9 +16,8 @@ import numpy.typing as npt
 import scipy
 
 from slamfusion.compute import ComputeDevice
-from slamfusion.compute.arrays import I32, U32
 from slamfusion.compute.layout import BEAM_ONE, MOST_BEAMS, TILE
-from slamfusion.geometry import F64, corners, transform_points
+from slamfusion.geometry import F64, I32, U32, corners, transform_points
 from slamfusion.slam.common.tile_map import SharedTileMaps
 
 

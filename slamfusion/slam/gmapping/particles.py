@@ -13,7 +13,7 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.compute.arrays import DeviceArray
 from slamfusion.compute.hit_counts import BeamScan, FieldRule, halve_counts, percent_of_counts
 from slamfusion.compute.layout import MOST_BEAMS
-from slamfusion.geometry import F64, Pose2, compose_poses, corners, pose_of, wrap_angles
+from slamfusion.geometry import F64, I64, Pose2, compose_poses, corners, pose_of, wrap_angles
 from slamfusion.grid import OccupancyGrid
 from slamfusion.scan import LaserScan
 from slamfusion.slam.common.mapper import Series
@@ -21,9 +21,6 @@ from slamfusion.slam.common.matcher import FieldMap, pose_table
 from slamfusion.slam.common.state import Rows, Stateful
 from slamfusion.slam.common.tile_map import SharedTileMaps, known_part
 from slamfusion.trajectory import Trajectory
-
-I64 = npt.NDArray[np.int64]
-
 
 # Usable range if ``maxUrange`` is not set: metres, and share of the laser's range, near whose end
 # readings are often false.

@@ -18,11 +18,10 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import GraphConfig
-from slamfusion.geometry import F64, Pose2, row_of, wrap_angle, wrap_angles
+from slamfusion.geometry import F64, I32, Pose2, row_of, wrap_angle, wrap_angles
 from slamfusion.slam.common.matcher import (
     STARTS,
     PoseHypothesis,
@@ -32,8 +31,6 @@ from slamfusion.slam.common.matcher import (
     spread_of,
 )
 from slamfusion.slam.graph.submap import UNSEEN_WALL, Pyramid, Submap, seen_score
-
-I32 = npt.NDArray[np.int32]
 
 # Blocks that are opened together, to call the device less often.
 BATCH = 256

@@ -6,14 +6,13 @@ import functools
 import math
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import GraphConfig
-from slamfusion.geometry import Pose2
+from slamfusion.geometry import F64, Pose2
 from slamfusion.pose_graph.uncertainty import turned
 from slamfusion.slam.common.matcher import (
     MOST_SIGMA,
@@ -30,8 +29,6 @@ from tests.slam.places import NO_LASER, Place, draw_corridor, place_of
 from tests.support.examples import examples
 
 pytestmark = pytest.mark.once
-
-F64 = npt.NDArray[np.float64]
 
 
 @pytest.fixture(scope="module")

@@ -5,13 +5,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
-from slamfusion.geometry import Pose2, wrap_angles
+from slamfusion.geometry import F64, Pose2, wrap_angles
 from slamfusion.slam.gmapping.pose_sampler import LEAST_SIGMAS, BicycleModel, DifferentialModel
-
-F64 = npt.NDArray[np.float64]
 
 DRAWS = 20_000
 # Standard errors that means and deviations of so many draws may be off; the seeds are fixed.

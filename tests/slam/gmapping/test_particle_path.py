@@ -5,17 +5,14 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from slamfusion.geometry import Pose2
+from slamfusion.geometry import F64, Pose2
 from slamfusion.slam.common.state import pack, unpack
 from slamfusion.slam.gmapping.particles import LEAST_SIGMAS, ParticlePaths
 from tests.support.examples import examples
-
-F64 = npt.NDArray[np.float64]
 
 
 def column(*x: float) -> F64:

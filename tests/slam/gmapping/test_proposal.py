@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import multivariate_normal
 
+from slamfusion.geometry import F64
 from slamfusion.slam.gmapping.particles import (
     effective_particles,
     normalised_weights,
@@ -16,9 +16,6 @@ from slamfusion.slam.gmapping.particles import (
 )
 from slamfusion.slam.gmapping.pose_sampler import local_grid, propose
 from tests.support.examples import examples
-
-F64 = npt.NDArray[np.float64]
-
 
 seeds = st.integers(0, 2**32 - 1)
 

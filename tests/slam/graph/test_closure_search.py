@@ -5,14 +5,13 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import GraphConfig
-from slamfusion.geometry import Pose2, wrap_angle
+from slamfusion.geometry import F64, Pose2, wrap_angle
 from slamfusion.slam.common.matcher import LEAST_SIGMA, MOST_SIGMA
 from slamfusion.slam.graph.closure_search import LOCAL_DRIFT_M, ClosureSearch, Found
 from slamfusion.slam.graph.submap import Submap
@@ -22,7 +21,6 @@ from tests.support.examples import examples
 
 pytestmark = pytest.mark.once
 
-F64 = npt.NDArray[np.float64]
 MEAN_SCORE = 0.75
 
 

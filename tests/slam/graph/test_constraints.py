@@ -5,18 +5,16 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from slamfusion.geometry import Pose2, compose_poses, invert_poses, pose_of, wrap_angles
+from slamfusion.geometry import F64, Pose2, compose_poses, invert_poses, pose_of, wrap_angles
 from slamfusion.pose_graph.least_squares import at_once
 from slamfusion.slam.graph.map_graph import Constraint, GraphHealth, MapGraph, solve_constraints
 from slamfusion.slam.graph.node_map import Node
 from tests.support.examples import examples
 
-F64 = npt.NDArray[np.float64]
 solve = at_once(solve_constraints)
 STEP_SIGMAS = (0.05, 0.05, 0.02)
 CLOSURE_SIGMAS = (0.02, 0.02, 0.01)

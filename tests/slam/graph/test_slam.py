@@ -6,13 +6,12 @@ import math
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.compute.layout import MOST_BEAMS
 from slamfusion.config import GraphConfig
-from slamfusion.geometry import Pose2
+from slamfusion.geometry import F64, Pose2
 from slamfusion.io.log import LogScan
 from slamfusion.scan import LaserScan
 from slamfusion.slam.graph import GraphSlam
@@ -40,7 +39,6 @@ from tests.slam.places import (
 
 pytestmark = pytest.mark.once
 
-F64 = npt.NDArray[np.float64]
 BLIND = "no reading within the usable range"
 
 

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from slamfusion.compute import ComputeDevice
-from slamfusion.geometry import Pose2
+from slamfusion.geometry import F64, Pose2
 from slamfusion.slam.common.matcher import ScanOnTiles
 from slamfusion.slam.graph.submap import Pyramid, Submap
 from tests.slam.drives import CELL_M, scan_at, true_poses
 from tests.support.examples import examples
 
-F64 = npt.NDArray[np.float64]
 SMEAR_M = 0.1
 LASER = np.zeros(2)
 

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from slamfusion.geometry import F64
 from slamfusion.slam.graph.submap import MOST_GAP_M, fill_walls
 from tests.support.examples import examples
 
-F64 = npt.NDArray[np.float64]
 NO_LASER = np.zeros(2)
 STEP_M = 0.05
 

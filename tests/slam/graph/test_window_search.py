@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from slamfusion.compute import ComputeDevice
-from slamfusion.geometry import wrap_angle
+from slamfusion.geometry import F64, U8, wrap_angle
 from slamfusion.slam.graph.closure_search import (
     BESIDE_M,
     BESIDE_RAD,
@@ -25,9 +25,6 @@ from slamfusion.slam.graph.closure_search import (
 from slamfusion.slam.graph.submap import Pyramid, Submap
 from tests.slam.drives import CELL_M, scan_at, true_poses
 from tests.support.examples import examples
-
-F64 = npt.NDArray[np.float64]
-U8 = npt.NDArray[np.uint8]
 
 
 @dataclass(frozen=True)
