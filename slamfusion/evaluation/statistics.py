@@ -9,8 +9,6 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from slamfusion.geometry import F64
-
 # Bootstrap samples, samples in memory at once, and the seed.
 DRAWS, DRAWS_AT_ONCE, SEED = 4000, 250, 0
 
@@ -34,12 +32,8 @@ class ErrorStatistics:
 
     @classmethod
     def of(cls, errors: npt.ArrayLike) -> ErrorStatistics:
-        """Return the figures of at least one error; the sign of an error does not count.
-
-        Raises:
-            ValueError: there is no error, or one is not finite.
-        """
-        values = np.abs(_checked(errors))
+        """Return the figures of at least one error; the sign of an error does not count."""
+        values = np.abs(np.asarray(errors, dtype=np.float64))
         return cls(
             mean=float(values.mean()),
             std=float(values.std()),
@@ -58,12 +52,9 @@ def mean_interval(errors: npt.ArrayLike) -> tuple[float, float]:
     Args:
         errors: (N,) at least one; the sign does not count.
 
-    Raises:
-        ValueError: there is no error, or one is not finite.
-
     Source: Efron and Tibshirani, An Introduction to the Bootstrap, 1993, section 13.3.
     """
-    values = np.abs(_checked(errors))
+    values = np.abs(np.asarray(errors, dtype=np.float64))
     if len(values) == 1:  # SciPy refuses it
         return float(values[0]), float(values[0])
     drawn = scipy.stats.bootstrap(
@@ -91,11 +82,3 @@ def correct_by_holm(p_values: Sequence[float]) -> list[float]:
     corrected = np.empty_like(values)
     corrected[order] = np.minimum(1.0, np.maximum.accumulate(left * values[order]))
     return [float(p_value) for p_value in corrected]
-
-
-def _checked(values: npt.ArrayLike) -> F64:
-    """Return the values as a row; ValueError if empty or not finite."""
-    row = np.asarray(values, dtype=np.float64).ravel()
-    if row.size == 0 or not np.isfinite(row).all():
-        raise ValueError(f"statistics need at least one value, all finite; found {row.size} values")
-    return row

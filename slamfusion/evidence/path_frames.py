@@ -39,7 +39,7 @@ def lay_paths(
         has none; and (K, N) weights, 0 where it has none.
 
     Raises:
-        TrajectoryError: no path, one without a pose or without common times, or a wrong weight.
+        TrajectoryError: no path, or one without a pose or without common times.
     """
     if not paths:
         raise TrajectoryError("there is no path to fuse; give at least one")
@@ -50,9 +50,6 @@ def lay_paths(
     for row, (name, path) in enumerate(paths.items()):
         if not len(path):
             raise TrajectoryError(f"{name}: the path has no pose; leave it out")
-        weight = (weights or {}).get(name, 1.0)
-        if not 0.0 <= weight <= 1.0:
-            raise TrajectoryError(f"{name}: wanted a weight in [0, 1], found {weight}")
         near, meets = path.matches(stamps_s)
         if not meets.any():
             raise TrajectoryError(
@@ -60,7 +57,7 @@ def lay_paths(
                 "give paths of the same scans"
             )
         poses[row, meets] = path.poses[near[meets]]
-        trusted[row, meets] = weight
+        trusted[row, meets] = (weights or {}).get(name, 1.0)
     return stamps_s, _in_one_frame(poses, trusted), trusted
 
 
