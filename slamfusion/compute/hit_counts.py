@@ -23,7 +23,6 @@ import numpy.typing as npt
 from slamfusion.compute.arrays import ArrayDevice, DeviceArray, host
 from slamfusion.compute.layout import (
     BEAM_ONE,
-    BEAM_SHIFT,
     CELL_HALF,
     CELL_ONE,
     FULL_HITS,
@@ -152,12 +151,10 @@ def _placed(scan: BeamScan, points: F32, shape: tuple[int, ...]) -> tuple[I64, I
     return _fixed_places(east, shape[-1]), _fixed_places(north, shape[-2])
 
 
-def _walks(scan: BeamScan, shape: tuple[int, ...]) -> tuple[I64, I64, I64]:
-    """Walk each beam in each map as ``walk_cells``; return map, row and column of every step."""
+def _beams(scan: BeamScan, shape: tuple[int, ...]) -> I64:
+    """Return each beam in each map, (N * B, 4), as ``walk_cells`` takes them."""
     ends, laser = _placed(scan, scan.ends, shape), _placed(scan, scan.laser[None], shape)
-    beams = np.stack(np.broadcast_arrays(*ends, *laser), axis=-1)
-    beam, row, col, _ = walk_cells(beams.reshape(-1, 4))
-    return beam // max(1, len(scan.ends)), row, col
+    return np.stack(np.broadcast_arrays(*ends, *laser), axis=-1).reshape(-1, 4)
 
 
 def _is_wall(counts: U32, rule: FieldRule) -> B8:
@@ -199,19 +196,17 @@ def _launch_beams(
 
 def _count_on_host(counts: U32, sums: U32, pages: I32, scan: BeamScan) -> bool:
     """Count a scan in every map, in place; return whether a cell is full."""
-    places = tile_places(pages, *_walks(scan, pages.shape))
-    places = tuple(part[places[0] != 0] for part in places)
+    beams = _beams(scan, pages.shape)
+    beam, row, col, step = walk_cells(beams)
+    maps, own = np.divmod(beam, max(1, len(scan.ends)))
+    places = tile_places(pages, maps, row, col)
+    has_tile = places[0] != 0
+    is_end = has_tile & (step == 0) & (scan.is_hit[own] != 0)
+    places, hit = (tuple(part[some] for part in places) for some in (has_tile, is_end))
     np.add.at(counts, places, np.uint32(1))
-
-    x, y = (part[:, scan.is_hit != 0] for part in _placed(scan, scan.ends, pages.shape))
-    maps = np.broadcast_to(np.arange(len(x))[:, None], x.shape)
-    hit = tile_places(pages, maps, y >> BEAM_SHIFT, x >> BEAM_SHIFT)
-    has_tile = hit[0] != 0
-    hit = tuple(part[has_tile] for part in hit)
     np.add.at(counts, hit, np.uint32(1 << HITS_SHIFT))
-    east, north = ((place % BEAM_ONE) >> OFFSET_SHIFT for place in (x, y))
-    np.add.at(sums, hit, (east << SUM_SHIFT | north)[has_tile].astype(np.uint32))
-
+    east, north = (beams[beam[is_end], :2] % BEAM_ONE >> OFFSET_SHIFT).T
+    np.add.at(sums, hit, (east << SUM_SHIFT | north).astype(np.uint32))
     hits, visits = counts[places] >> HITS_SHIFT, counts[places] & VISITS_MASK
     return bool(((hits >= FULL_HITS) | (visits >= FULL_VISITS)).any())
 
@@ -236,7 +231,8 @@ class HitCountDevice(ArrayDevice):
             return self.download(out)
         pages = host(pages)
         touched = np.zeros(pages.shape, dtype=np.uint8)
-        maps, rows, cols = _walks(scan, pages.shape)
+        beam, rows, cols, _ = walk_cells(_beams(scan, pages.shape))
+        maps = beam // max(1, len(scan.ends))
         height, width = pages.shape[1:]
         for dx, dy in ((-reach, -reach), (reach, -reach), (-reach, reach), (reach, reach)):
             row = np.clip((rows + dy) // TILE, 0, height - 1)
