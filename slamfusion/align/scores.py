@@ -8,7 +8,7 @@ piece by piece. Pieces are not independent either, see ``lines``.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -196,8 +196,7 @@ def score_motions(
         scales: (P,) enlarge the moving map about its centre; None: 1.
     """
     ways = pair.sides(motions, step, scales)
-    sides, units = _scored_sides(ways, step, sigma, points, doubt)
-    return _summed(pair.device.pose_scores(*sides), sides, units)
+    return _scored(pair.device.pose_scores, ways, step, sigma, points, doubt)
 
 
 def score_neighbours(
@@ -217,8 +216,7 @@ def score_neighbours(
         (mov, np.concatenate((there, along)), ref),
         (ref, np.concatenate((back, np.rint(-own * back[:2]))), mov),
     )
-    sides, units = _scored_sides(ways, step, sigma, points)
-    found = _summed(pair.device.neighbour_scores(*sides), sides, units)
+    found = _scored(pair.device.neighbour_scores, ways, step, sigma, points)
     return found.reshape(len(STEPS), len(motions), -1).transpose(1, 2, 0).reshape(len(motions), -1)
 
 
@@ -228,29 +226,24 @@ def neighbour_offsets(shift: float, turn: float) -> F64:
     return np.asarray(steps.reshape(-1, 3) * np.array([shift, shift, turn]))
 
 
-def _scored_sides(
+def _scored(
+    score: Callable[..., list[I32]],
     ways: Iterable[tuple[GridFeatures, F64, GridFeatures]],
     step: int,
     sigma: float,
     points: int,
     doubt: float = 0.0,
-) -> tuple[list[ScoredSide], list[float]]:
-    """Return the walls of each map on the other's field, and the evidence of a value, nats."""
+) -> F64:
+    """Return the evidence for the walls of each map on the other's field, nats, of both maps."""
     sides, units = [], []
     for own, motions, other in ways:
         table = other.evidence_table(step, sigma, FIELD_TOP, doubt)
         sample = own.wall_planes(step, points)
         sides.append(ScoredSide(sample, motions, other.field(step, table), table.base))
         units.append(table.unit * (len(own.level(step).points) / sample.count))
-    return sides, units
-
-
-def _summed(values: list[I32], sides: list[ScoredSide], units: list[float]) -> F64:
-    """Return the evidence of both maps."""
-    total = np.zeros(values[0].shape)
-    for side_values, side, unit in zip(values, sides, units, strict=True):
-        total += (side_values - side.points.count * side.base) * unit
-    return total
+    parts = zip(score(*sides), sides, units, strict=True)
+    ours, theirs = ((values - side.points.count * side.base) * unit for values, side, unit in parts)
+    return ours + theirs
 
 
 def rank(pair: Pair, motions: F64) -> F64:

@@ -69,7 +69,6 @@ def wall_centres(grid: OccupancyGrid, transform: Pose2 = IDENTITY) -> F64:
     return transform.transform(grid.cell_centres(rows, cols))
 
 
-_DEFAULT_NORMALIZE = NormalizeConfig()
 _COLUMNS = ("name", "x1", "y1", "x2", "y2", "distance_m")
 _NUMBERS = _COLUMNS[1:]
 
@@ -128,9 +127,7 @@ class DistanceComparison:
 
 
 def compare_distances(
-    grid: OccupancyGrid,
-    distances: Sequence[MeasuredDistance],
-    normalize: NormalizeConfig = _DEFAULT_NORMALIZE,
+    grid: OccupancyGrid, distances: Sequence[MeasuredDistance], normalize: NormalizeConfig
 ) -> DistanceComparison:
     """Compare measured distances with those between the walls of a map, in the points' frame."""
     walls = wall_centres(grid.classified(normalize))

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from slamfusion.config import NormalizeConfig
 from slamfusion.errors import MapFileError
 from slamfusion.evaluation.distances import MeasuredDistance, compare_distances, load_distances
 from slamfusion.geometry import Pose2
@@ -24,7 +25,7 @@ def corridor() -> OccupancyGrid:
 
 def test_the_distance_is_between_the_nearest_walls(corridor: OccupancyGrid) -> None:
     rows = [MeasuredDistance("width", (2.05, -0.9), (2.05, 1.2), 1.9)]
-    result = compare_distances(corridor, rows)
+    result = compare_distances(corridor, rows, NormalizeConfig())
     row = result.rows[0]
     assert row.map_m == pytest.approx(2.0)
     assert row.error_m == pytest.approx(0.1)
@@ -37,7 +38,7 @@ def test_a_row_without_a_wall_says_so_and_does_not_count(corridor: OccupancyGrid
         MeasuredDistance("width", (2.05, -1.0), (2.05, 1.0), 2.2),
         MeasuredDistance("nowhere", (2.05, -1.0), (2.05, 0.0), 1.0),
     ]
-    result = compare_distances(corridor, rows)
+    result = compare_distances(corridor, rows, NormalizeConfig())
     assert result.rows[1].map_m is None
     assert result.rows[1].reason == "no wall within 0.5 m of point 2"
     assert result.mean_absolute_error_m == pytest.approx(0.2)
@@ -57,7 +58,7 @@ def test_csv_and_yaml_hold_the_same_rows(tmp_path: Path, corridor: OccupancyGrid
         "- {name: row 4, x1: 0.05, y1: -1, x2: 3.05, y2: -1, distance_m: 3}\n"
     )
     assert load_distances(csv_file) == load_distances(yaml_file)
-    result = compare_distances(corridor, load_distances(csv_file))
+    result = compare_distances(corridor, load_distances(csv_file), NormalizeConfig())
     assert [row.name for row in result.rows] == ["hall", "row 4"]
     assert result.mean_absolute_error_m == pytest.approx(0.0)
 
