@@ -6,7 +6,8 @@
 Maps of 700 x 700 cells at any turn, neighbours 20 to 60 % overlapping, bent by 1.5 cells, one cell
 of a hundred wrong; every fifth is of another building (``tests.support.sites``). A map is right
 where it lies within 0.5 m of its place (``ManyMaps.errors_m``), and wrong where it was fused and
-does not; a map that shares ground with others and was not fused is lost. Times are of
+does not; a map that shares ground with others and was not fused is lost; a lone one that was left
+out is right. Times are of
 ``fuse_maps`` in this process, wall clock and processor time; the first fusion compiles the kernels
 and is not counted.
 """
@@ -16,7 +17,7 @@ from __future__ import annotations
 import argparse
 import resource
 import time
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from rich.table import Table
 
@@ -33,33 +34,8 @@ CONFIG = replace(
 )
 
 
-@dataclass(frozen=True)
-class Row:
-    """What came of one site.
-
-    Attributes:
-        maps, seed: of the site.
-        right, wrong, lost: maps, see the module's text; lone ones that were left out are right.
-        worst_m: the largest error of a right map.
-        searched: pairs that were searched in full.
-        wall_s, cpu_s: of the fusion.
-        peak_mib: of the process so far, mebibytes.
-    """
-
-    maps: int
-    seed: int
-    right: int
-    wrong: int
-    lost: int
-    worst_m: float
-    searched: int
-    wall_s: float
-    cpu_s: float
-    peak_mib: float
-
-
-def measure(count: int, seed: int, cells: int, device: ComputeDevice) -> Row:
-    """Fuse the maps of one site."""
+def measure(count: int, seed: int, cells: int, device: ComputeDevice) -> tuple[str, ...]:
+    """Fuse the maps of one site; return the row of the table."""
     site = many_maps(count, seed, cells)
     began, began_cpu = time.perf_counter(), time.process_time()
     result = fuse_maps(list(site.grids), CONFIG, device).result
@@ -74,17 +50,14 @@ def measure(count: int, seed: int, cells: int, device: ComputeDevice) -> Row:
     right = [error for error in errors.values() if error <= RIGHT_M]
     left_out = [grid.name for grid in site.grids if grid.name not in errors]
     lone = sum(is_lone[name] for name in left_out)
-    return Row(
-        count,
-        seed,
-        len(right) + lone,
-        len(errors) - len(right),
-        len(left_out) - lone,
-        max(right, default=0.0),
-        sum(not pair.reason.startswith("tracked") for pair in result.pairs),
-        wall_s,
-        cpu_s,
-        resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0,
+    searched = sum(not pair.reason.startswith("tracked") for pair in result.pairs)
+    wrong, lost = len(errors) - len(right), len(left_out) - lone
+    return (
+        *map(str, (count, seed, len(right) + lone, wrong, lost)),
+        f"{max(right, default=0.0):.2f}",
+        str(searched),
+        *(f"{value:.1f}" for value in (wall_s, cpu_s)),
+        f"{resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0:.0f}",
     )
 
 
@@ -115,14 +88,7 @@ def main() -> None:
     console = console_for("many", asked.record)
     for count in map(int, asked.maps.split(",")):
         for seed in map(int, asked.seeds.split(",")):
-            row = measure(count, seed, asked.cells, device)
-            table.add_row(
-                *(str(value) for value in (row.maps, row.seed, row.right, row.wrong, row.lost)),
-                f"{row.worst_m:.2f}",
-                str(row.searched),
-                *(f"{value:.1f}" for value in (row.wall_s, row.cpu_s)),
-                f"{row.peak_mib:.0f}",
-            )
+            table.add_row(*measure(count, seed, asked.cells, device))
     console.print(table)
 
 

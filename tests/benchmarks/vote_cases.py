@@ -21,17 +21,17 @@ import numpy as np
 import scipy
 
 from slamfusion.compute import ComputeDevice, open_device
-from slamfusion.config import ExperimentConfig, FailuresConfig, NormalizeConfig, RunConfig
+from slamfusion.config import ExperimentConfig, FailuresConfig, RunConfig
 from slamfusion.experiments.fusions import against_truth
 from slamfusion.experiments.trials import Trial, failure_trials
 from slamfusion.geometry import I8, Pose2
-from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, CellBox, OccupancyGrid, trinary_cells
+from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, CellBox, OccupancyGrid
 from slamfusion.io.map_server import load_map
 from slamfusion.sim import named_course, thin_walls
 from slamfusion.sim.worlds import draw_floor
 from slamfusion.slam.registry import BUILT_IN
 from tests.support.datasets import DATASETS, MAPS
-from tests.support.degrade import Degradation, degrade_map
+from tests.support.degrade import Degradation, degrade_map, trinary
 from tests.support.evidence_drives import make_drive
 
 KINDS = ("five-slams", "degraded", "pairs", "failures")
@@ -146,13 +146,7 @@ def _true_maps(place: str, rng: np.random.Generator) -> dict[str, OccupancyGrid]
         solid = draw_floor(named_course(place, 0).world, rng).grid
         return {"thin": thin_walls(solid), "solid": solid}
     path, legacy_unknown = RECORDED[place]
-    return {"thin": _trinary(load_map(path, legacy_unknown=legacy_unknown))}
-
-
-def _trinary(grid: OccupancyGrid) -> OccupancyGrid:
-    classes = trinary_cells(grid.cells, NormalizeConfig())
-    cells = np.where(classes == 1, np.int8(OCCUPIED), classes)
-    return OccupancyGrid(cells, grid.resolution, grid.origin, grid.name)
+    return {"thin": trinary(load_map(path, legacy_unknown=legacy_unknown))}
 
 
 def _copied(kind: str, seed: int, wanted: Sequence[Sequence[str]]) -> Iterator[Named]:

@@ -22,7 +22,6 @@ from slamfusion.config import FusionNodeConfig
 from slamfusion.grid import OCCUPIED
 from slamfusion.io import load_map
 from slamfusion.jobs.doctor import INSTALL
-from slamfusion.jobs.records import load_schema
 from tests.cli.command import ROOT, run
 
 pytestmark = pytest.mark.once
@@ -221,23 +220,3 @@ def test_every_page_is_in_the_contents() -> None:
     assert listed == {path for path in DOCS.rglob("*.md") if "_build" not in path.parts} - {
         DOCS / "index.md"
     }
-
-
-def test_every_option_of_every_command_has_a_row() -> None:
-    page = PAGES["docs/reference/command_line.md"]
-    names = []
-    for name, context in walk():
-        section = page.split(f"\n### {name}\n", 1)[1].split("\n### ", 1)[0]
-        for parameter in context.command.params:
-            for spelled in parameter.opts if isinstance(parameter, click.Option) else ():
-                assert spelled in section, (name, spelled)
-        names.append(name)
-    assert {"slamfusion slam graph", "slamfusion graph optimize", "slamfusion run"} <= set(names)
-
-
-def test_every_key_of_every_document_has_a_row() -> None:
-    page = PAGES["docs/reference/json.md"]
-    for name, item in load_schema()["$defs"].items():
-        for key in item.get("properties", {}):
-            section = page.split(f"\n### {name}\n", 1)[1].split("\n### ", 1)[0]
-            assert f"| `{key}` |" in section, (name, key)

@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from slamfusion.compute import ComputeDevice, NumpyDevice, open_device
+from slamfusion.compute import ComputeDevice, open_device
 from slamfusion.errors import TrajectoryError
 from slamfusion.evidence.beams import ScanHits
 from slamfusion.evidence.drawn_map import draw_map
@@ -183,10 +183,3 @@ def test_scans_without_a_pose_are_left_out() -> None:
         draw_map(scans, late, device(), resolution=0.05)
     with pytest.raises(TrajectoryError, match="0 scans and 40 poses"):
         draw_map([], path(driven()), device(), resolution=0.05)
-
-
-def test_the_kernels_draw_what_numpy_draws() -> None:
-    scans = seen(driven())[::4]
-    made = draw(scans, driven())
-    twin = draw_map(scans, path(driven()), NumpyDevice(), resolution=0.05)
-    assert (made.origin, made.cells.tobytes()) == (twin.origin, twin.cells.tobytes())

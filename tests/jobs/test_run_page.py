@@ -28,7 +28,7 @@ from slamfusion.palette import NAMED, OTHERS
 from slamfusion.slam.common.runner import ProducerRun, run_producer
 from slamfusion.trajectory import Trajectory
 from tests.report.drawn import NASTY, REASON, fusion, room
-from tests.report.test_reports import check_scripts, read
+from tests.report.test_reports import read
 from tests.support.producers import DeadReckoning, room_drive
 
 pytestmark = pytest.mark.once
@@ -188,14 +188,6 @@ def test_the_fused_path_is_drawn_and_measured_beside_those_it_was_made_of(page: 
     assert "relations, translation [m]" in text
     assert "Error against the truth, distribution" in text
     assert "Error on known relations over the drive" in text
-
-
-def test_names_run_nothing_and_nothing_is_loaded(page: Path) -> None:
-    found = read(page)
-    check_scripts(found)
-    assert all(source.startswith("data:image/png;base64,") for source in found.sources)
-    for link in found.links:
-        assert link[1:] in found.targets if link[0] == "#" else (page.parent / link).is_file()
 
 
 def test_a_failed_fusion_shows_the_maps_and_why(tmp_path: Path) -> None:

@@ -18,8 +18,6 @@ from pathlib import Path
 from typing import Any
 from unittest import mock
 
-import yaml
-
 from tests.cli.command import ROOT
 
 SCRIPTS = ROOT / "launch_scripts"
@@ -41,21 +39,6 @@ class Started:
     namespace: str
     parameters: list[str | dict[str, Any]]
     remappings: dict[str, str]
-
-    def words(self) -> list[str]:
-        """Return the ROS arguments, as launch_ros makes them."""
-        words = ["-r", f"__node:={self.name}"] if self.name else []
-        words += ["-r", f"__ns:=/{self.namespace}"] if self.namespace else []
-        for item in self.parameters:
-            if isinstance(item, str):
-                words += ["--params-file", item]
-                continue
-            for key, value in item.items():
-                shown = yaml.safe_dump(value, default_flow_style=True, width=1000)
-                words += ["-p", f"{key}:={shown.splitlines()[0]}"]
-        for old, new in self.remappings.items():
-            words += ["-r", f"{old}:={new}"]
-        return words
 
 
 class Context:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -72,9 +71,7 @@ def transforms_at(listener: TransformInput, stamp_s: float) -> Pose2:
 
 
 @pytest.mark.full
-@pytest.mark.parametrize(
-    "overlap", [0.2, *(pytest.param(more, marks=pytest.mark.full) for more in (0.4, 0.6))]
-)
+@pytest.mark.parametrize("overlap", [0.2, 0.4, 0.6])
 def test_halves_of_one_drive_fuse_in_frames_of_their_own(
     processes: Processes, observer: Observer, drive: Recording, overlap: float
 ):
@@ -97,30 +94,5 @@ def test_halves_of_one_drive_fuse_in_frames_of_their_own(
     off = f"{off_by_m(found, wanted):.3f} m, {off_by_rad(found, wanted):.4f} rad"
     assert off_by_m(found, wanted) <= OFF_M, off
     assert off_by_rad(found, wanted) <= OFF_RAD, off
-    assert node.interrupt() == 0
-    assert "Traceback" not in node.text()
-
-
-@pytest.mark.full
-def test_halves_of_drives_through_two_buildings_never_fuse(
-    processes: Processes, observer: Observer, drive: Recording, tmp_path: Path
-):
-    device = open_device()
-    listener = TransformInput(observer.node)
-    fused = observer.collect(OccupancyGrid, "fused/map", qos.MAP)
-    robots = Robots(observer)
-    node = start(processes)
-    other = cut_drive(drive_through(5, tmp_path, device), 0.2)
-    here = cut_drive(drive, 0.2)
-    first = map_of(here.scans[0], INPUTS[0], device)
-    for share in (0.5, 1.0):
-        scans = other.scans[1][: round(share * len(other.scans[1]))]
-        robots.send(first, map_of(scans, INPUTS[1], device))
-        for name in INPUTS:
-            observer.wait_status(f"fusion: input {name}", "no two of the inputs")
-        observer.wait_status(FUSION, "nothing is fused")
-    observer.listen(1.0)
-    assert not fused
-    assert listener.heard_s("fused_map", CHILDREN[0]) is None
     assert node.interrupt() == 0
     assert "Traceback" not in node.text()

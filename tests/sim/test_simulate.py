@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from slamfusion.compute import ComputeDevice, NumpyDevice, open_device
+from slamfusion.compute import ComputeDevice, open_device
 from slamfusion.config import ActionConfig, DriveConfig, SimulateConfig
 from slamfusion.errors import MapFileError, SimulationError
 from slamfusion.geometry import Pose2
@@ -204,13 +204,6 @@ def test_the_log_reads_back_as_what_was_simulated(tmp_path: Path) -> None:
         hit = own.scan.is_hit()
         assert read.scan.ranges[hit] == pytest.approx(own.scan.ranges[hit], abs=2e-3)
         assert read.odometry.x == pytest.approx(own.odometry.x, abs=1e-5)
-
-
-def test_a_device_and_the_twins_give_the_same_recording(tmp_path: Path) -> None:
-    course = bare(tmp_path, (2.0, 2.0))
-    on_device, twins = (simulate(course, some) for some in (device(), NumpyDevice()))
-    for a, b in zip(on_device.scans, twins.scans, strict=True):
-        assert a.scan.ranges.tobytes() == b.scan.ranges.tobytes()
 
 
 def test_nothing_to_drive_is_one_scan(tmp_path: Path) -> None:

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.config import NormalizeConfig
+from slamfusion.evaluation.distances import sample_on_lattice
 from slamfusion.geometry import Pose2
-from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid, trinary_cells
+from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, CellBox, OccupancyGrid
+from tests.support.degrade import trinary
 
 Axis = Literal["x", "y"]
 Side = Literal["low", "high"]
@@ -64,11 +65,9 @@ def halves_of(low: int, high: int, overlap: float) -> Halves:
     return Halves(low, low + length, high - length, high)
 
 
-def trinary(grid: OccupancyGrid) -> OccupancyGrid:
+def cropped(grid: OccupancyGrid) -> OccupancyGrid:
     """Return the grid with cells -1, 0 and 100 alone, cropped to what is known."""
-    classes = trinary_cells(grid.cells, NormalizeConfig())
-    cells = np.where(classes == 1, np.int8(OCCUPIED), classes)
-    whole = OccupancyGrid(cells, grid.resolution, grid.origin, grid.name)
+    whole = trinary(grid)
     box = whole.known_box()
     return whole if box is None else whole.crop(box)
 
@@ -99,7 +98,7 @@ def kept(
     """Return the cells within a span of ``along``, cropped; the rest is unknown."""
     inside = (places >= span[0]) & (places < span[1])
     cells = np.where(inside, grid.cells, np.int8(UNKNOWN))
-    return trinary(OccupancyGrid(cells, grid.resolution, grid.origin, grid.name))
+    return cropped(OccupancyGrid(cells, grid.resolution, grid.origin, grid.name))
 
 
 def mirror_image(grid: OccupancyGrid) -> OccupancyGrid:
@@ -155,14 +154,9 @@ def render(
     corner = axes.transform(first * resolution)
     origin = Pose2(float(corner[0]), float(corner[1]), lattice_yaw_rad)
 
-    own = np.stack(np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5), axis=-1)
-    points = pose.compose(origin).transform(own * resolution)
-    from_rows, from_cols = grid.cell_indices(points)
-    inside = (from_rows >= 0) & (from_cols >= 0)
-    inside &= (from_rows < grid.height) & (from_cols < grid.width)
-    cells = np.full((height, width), UNKNOWN, dtype=np.int8)
-    cells[inside] = grid.cells[from_rows[inside], from_cols[inside]]
-    return trinary(OccupancyGrid(cells, resolution, origin, grid.name))
+    lattice = OccupancyGrid(np.zeros((1, 1), dtype=np.int8), resolution, origin, grid.name)
+    box = CellBox(0, 0, height, width)
+    return cropped(replace(lattice, cells=sample_on_lattice(grid, lattice, box, pose.inverse())))
 
 
 def wear(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -12,7 +12,7 @@ import scipy
 
 from slamfusion.config import NormalizeConfig
 from slamfusion.errors import GridError
-from slamfusion.geometry import Pose2
+from slamfusion.geometry import Pose2, fit_motion
 from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, CellBox, OccupancyGrid, trinary_cells
 
 # Side of the blocks in which walls gain or lose their cell on the same side.
@@ -77,7 +77,7 @@ def degrade_map(
     Raises:
         GridError: the truth has no known cell.
     """
-    truth = _trinary(truth_grid)
+    truth = trinary(truth_grid)
     box = truth.known_box()
     if box is None:
         raise GridError(f"{truth.name}: every cell is unknown; nothing to degrade")
@@ -90,17 +90,19 @@ def degrade_map(
         origin = pose.inverse().compose(truth.origin)
         grid = OccupancyGrid(truth.cells, truth.resolution, origin, truth.name)
 
-    cells = _change_walls(grid.cells, degradation.wall_change_cells)
-    cells = _flip(cells, rng, degradation.flip_share)
-    cells = _speckle(cells, rng, degradation.speckle_share)
+    cells = _change_walls(grid.cells, degradation.wall_change_cells).copy()
+    flipped = _some(cells != UNKNOWN, rng, degradation.flip_share)
+    cells[flipped] = np.where(cells[flipped] == OCCUPIED, FREE, OCCUPIED)
+    cells[_some(cells == FREE, rng, degradation.speckle_share)] = UNKNOWN
     grid = OccupancyGrid(cells, grid.resolution, grid.origin, grid.name)
     return _with_margin(grid, rng, degradation.margin_share), pose
 
 
-def _trinary(grid: OccupancyGrid) -> OccupancyGrid:
+def trinary(grid: OccupancyGrid) -> OccupancyGrid:
+    """Return the grid with cells -1, 0 and 100 alone."""
     classes = trinary_cells(grid.cells, NormalizeConfig())
     cells = np.where(classes == 1, np.int8(OCCUPIED), classes)
-    return OccupancyGrid(cells, grid.resolution, grid.origin, grid.name)
+    return replace(grid, cells=cells)
 
 
 def _motion(truth: OccupancyGrid, box: CellBox, degradation: Degradation) -> Pose2:
@@ -126,6 +128,7 @@ def _cut(truth: OccupancyGrid, rng: np.random.Generator, share: float) -> Occupa
     return OccupancyGrid(cells, truth.resolution, truth.origin, truth.name)
 
 
+IndexArray = tuple[npt.NDArray[np.intp], ...]
 XY = tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]
 
 
@@ -238,11 +241,8 @@ def _rigid_part(truth: OccupancyGrid, warp: _Warp) -> Pose2:
     bent = true.copy()
     for _ in range(5):  # bent + displacement(bent) = true, by fixed point
         bent = true - np.stack(warp.displacement(bent[:, 0], bent[:, 1]), axis=-1)
-    from_centre, to_centre = bent.mean(axis=0), true.mean(axis=0)
-    a, b = bent - from_centre, true - to_centre
-    yaw = math.atan2(float(np.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])), float(np.sum(a * b)))
-    shift = to_centre - Pose2(0.0, 0.0, yaw).transform(from_centre)
-    own = Pose2(float(shift[0]), float(shift[1]), yaw).scaled(truth.resolution)
+    bent, true = (np.insert(places, 2, 0.0, axis=1) for places in (bent, true))
+    own = fit_motion(bent, true).scaled(truth.resolution)
     return truth.origin.compose(own).compose(truth.origin.inverse())
 
 
@@ -291,26 +291,12 @@ def _peel(walls: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
     return peeled
 
 
-def _flip(
-    cells: npt.NDArray[np.int8], rng: np.random.Generator, share: float
-) -> npt.NDArray[np.int8]:
-    """Turn a share of the known cells from free to occupied or back."""
-    known = np.flatnonzero(cells != UNKNOWN)
-    chosen = rng.choice(known, size=round(share * known.size), replace=False)
-    flat = cells.reshape(-1).copy()
-    flat[chosen] = np.where(flat[chosen] == OCCUPIED, FREE, OCCUPIED)
-    return flat.reshape(cells.shape)
-
-
-def _speckle(
-    cells: npt.NDArray[np.int8], rng: np.random.Generator, share: float
-) -> npt.NDArray[np.int8]:
-    """Turn a share of the free cells unknown."""
-    free = np.flatnonzero(cells == FREE)
-    chosen = rng.choice(free, size=round(share * free.size), replace=False)
-    flat = cells.reshape(-1).copy()
-    flat[chosen] = UNKNOWN
-    return flat.reshape(cells.shape)
+def _some(where: npt.NDArray[np.bool_], rng: np.random.Generator, share: float) -> IndexArray:
+    """Return the places of a share of the cells that are marked."""
+    marked = np.flatnonzero(where)
+    return np.unravel_index(
+        rng.choice(marked, size=round(share * marked.size), replace=False), where.shape
+    )
 
 
 def _with_margin(grid: OccupancyGrid, rng: np.random.Generator, share: float) -> OccupancyGrid:

@@ -36,11 +36,11 @@ from tests.support.cuts import (
     Axis,
     Side,
     along,
+    cropped,
     halves_of,
     kept,
     mirror_image,
     move_frame,
-    trinary,
     wear,
 )
 from tests.support.datasets import MAPS, MapEntry, load_entry, map_entries
@@ -310,13 +310,13 @@ def _entries() -> dict[str, MapEntry]:
 def load_source(source: str) -> OccupancyGrid:
     """Load a recorded map, or draw a simulated floor; cells -1, 0, 100, cropped."""
     if not source.startswith("sim/"):
-        return trinary(load_entry(_entries()[source]))
+        return cropped(load_entry(_entries()[source]))
     _, place, seed = source.split("/")
     rng = np.random.default_rng(int(seed))
     if place == "building":
-        return trinary(draw_building(rng, *BUILDING_M)).with_name(source)
+        return cropped(draw_building(rng, *BUILDING_M)).with_name(source)
     config = WorldConfig(name=cast("DrawnPlace", place))
-    return trinary(draw_floor(config, rng).grid).with_name(source)
+    return cropped(draw_floor(config, rng).grid).with_name(source)
 
 
 def place_of(source: str) -> str:

@@ -17,8 +17,9 @@ from functools import cache
 
 import numpy as np
 
+from slamfusion.evaluation.distances import sample_on_lattice
 from slamfusion.geometry import F64, Pose2, fit_motion
-from slamfusion.grid import UNKNOWN, OccupancyGrid
+from slamfusion.grid import UNKNOWN, CellBox, OccupancyGrid
 from slamfusion.sim import draw_building
 from tests.support.degrade import Degradation, degrade_map
 
@@ -159,13 +160,9 @@ def _window(
     """Return a square of a site, turned about its centre, on a lattice of its own."""
     half = cells * RESOLUTION / 2.0
     corner = Pose2(*centre, yaw_rad).compose(Pose2(-half, -half))
-    rows, cols = np.indices((cells, cells))
-    points = (np.stack((cols, rows), axis=-1).reshape(-1, 2) + 0.5) * RESOLUTION
-    row, col = site.cell_indices(corner.transform(points))
-    inside = (row >= 0) & (row < site.height) & (col >= 0) & (col < site.width)
-    values = np.full(cells * cells, UNKNOWN, dtype=np.int8)
-    values[inside] = site.cells[row[inside], col[inside]]
-    return OccupancyGrid(values.reshape(cells, cells), RESOLUTION, corner)
+    lattice = OccupancyGrid(np.zeros((1, 1), dtype=np.int8), RESOLUTION, corner)
+    box = CellBox(0, 0, cells, cells)
+    return replace(lattice, cells=sample_on_lattice(site, lattice, box, Pose2()))
 
 
 def _common(a: OccupancyGrid, pose_a: Pose2, b: OccupancyGrid, pose_b: Pose2) -> float:

@@ -78,12 +78,6 @@ def run(device: ComputeDevice, scans: list[LogScan], seed: int = 0, **settings: 
     return feed(Gmapping(config(**settings), device, seed), scans)
 
 
-def from_start(truth: list[Pose2]) -> list[Pose2]:
-    """Return poses as one without odometry calls them."""
-    start = truth[0].inverse()
-    return [start.compose(pose) for pose in truth]
-
-
 def standing(count: int, step_s: float = 0.1) -> list[LogScan]:
     """Scans of a robot that stands."""
     pose = true_poses(1)[0]
@@ -121,16 +115,6 @@ def test_a_filter_of_hardly_any_particles_works(device: ComputeDevice, count: in
 
 
 # -- where the robot is ----------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("expectation", "motion_model"), [("motion", "differential"), ("pose", "bicycle")]
-)
-def test_without_odometry(device: ComputeDevice, expectation: str, motion_model: str):
-    scans, truth = drive(120, turn_bias=0.01)
-    settings = {"expectation": expectation, "motion_model": motion_model, "odometry": "none"}
-    slam = run(device, scans, **settings)
-    assert max(errors(slam, from_start(truth))) < 0.2
 
 
 @pytest.mark.parametrize(("expectation", "onward"), [("motion", 1.0), ("pose", 0.0)])
