@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Literal, TypeAlias, get_args
 
-from slamfusion.compute import ComputeDevice
 from slamfusion.evidence.displacement import CONTRADICTED, EXPLAINED, REACH_M, find_contradiction
 from slamfusion.evidence.parting import path_spans
 from slamfusion.evidence.predictive import PathEvidence
@@ -19,9 +18,7 @@ CONDITIONS: tuple[Condition, ...] = get_args(Condition)
 RECENT_S = 30.0
 
 
-def drive_conditions(
-    evidence: PathEvidence, name: str, device: ComputeDevice
-) -> Mapping[Condition, str]:
+def drive_conditions(evidence: PathEvidence, name: str) -> Mapping[Condition, str]:
     """Return what is wrong with a drive so far, in words, by the path called ``name``."""
     scans, score = evidence.scans, evidence.scores[name]
     path = Trajectory(scans.stamps_s[score.is_own], score.poses[score.is_own], name)
@@ -33,8 +30,8 @@ def drive_conditions(
             found["odometry"] = text
     # If no scan contradicts the path, the robot is on it.
     others = [other for other in evidence.scores if other != name]
-    broken = find_contradiction(evidence, name, device)
-    if broken is not None and all(find_contradiction(evidence, other, device) for other in others):
+    broken = find_contradiction(evidence, name)
+    if broken is not None and all(find_contradiction(evidence, other) for other in others):
         since = f"since stamp {scans.stamps_s[0] + broken.since_s:.0f} s"
         if broken.moved_share > CONTRADICTED:  # nothing near it fits
             found["new place"] = (

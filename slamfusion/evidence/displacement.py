@@ -22,7 +22,6 @@ from typing import NamedTuple
 import numpy as np
 import scipy
 
-from slamfusion.compute import ComputeDevice
 from slamfusion.evidence.beams import CHUNKS
 from slamfusion.evidence.parting import PART_M
 from slamfusion.evidence.predictive import (
@@ -91,12 +90,10 @@ class Contradiction(NamedTuple):
     moved_share: float
 
 
-def find_displacements(
-    evidence: PathEvidence, name: str, device: ComputeDevice
-) -> tuple[Displacement, ...]:
+def find_displacements(evidence: PathEvidence, name: str) -> tuple[Displacement, ...]:
     """Return the chunks of a drive that are surely displaced, in the order of time."""
     scans = evidence.scans
-    drawn = _drawn(evidence, name, device, WALL_CELLS)
+    drawn = _drawn(evidence, name, WALL_CELLS)
     some = _some_hits(drawn)
     p_values, away_m = np.ones(CHUNKS), np.zeros(CHUNKS)
     for split in SPLITS:
@@ -130,23 +127,21 @@ def find_displacements(
     return tuple(displaced)
 
 
-def contradicted_share(evidence: PathEvidence, name: str, device: ComputeDevice) -> float:
+def contradicted_share(evidence: PathEvidence, name: str) -> float:
     """Return the share of hits, 0 to 1, that fell on free space seen at another time.
 
     Only hits count that scans shortly before and after explain, in places seen at other times.
     """
-    drawn = _drawn(evidence, name, device)
+    drawn = _drawn(evidence, name)
     (now, _), (then, is_seen) = (drawn.look_up(among=bits) for bits in (NEIGHBOURS, OTHERS))
     is_asked = is_seen & (now > PRICE)
     return float(np.mean(then[is_asked] < PRICE)) if is_asked.any() else 0.0
 
 
-def find_contradiction(
-    evidence: PathEvidence, name: str, device: ComputeDevice
-) -> Contradiction | None:
+def find_contradiction(evidence: PathEvidence, name: str) -> Contradiction | None:
     """Return since when most of what a robot sees was free space before, else None."""
     scans = evidence.scans
-    drawn = _drawn(evidence, name, device)
+    drawn = _drawn(evidence, name)
     some = _some_hits(drawn)
     # Only hits that the scans shortly before and after explain.
     some = some[drawn.look_up(some, among=NEIGHBOURS)[0] > PRICE]
@@ -173,12 +168,10 @@ def find_contradiction(
     return Contradiction(float(since_s), float(shares[first]), float(np.mean(moved < PRICE)))
 
 
-def _drawn(
-    evidence: PathEvidence, name: str, device: ComputeDevice, reach_cells: int = REACH_CELLS
-) -> DrawnChunks:
+def _drawn(evidence: PathEvidence, name: str, reach_cells: int = REACH_CELLS) -> DrawnChunks:
     """Return the chunks along a path."""
     poses, is_judged = evidence.scores[name].poses, evidence.is_judged
-    return DrawnChunks.of(name, poses, evidence.scans, is_judged, device, reach_cells)
+    return DrawnChunks.of(name, poses, evidence.scans, is_judged, evidence.device, reach_cells)
 
 
 def _some_hits(drawn: DrawnChunks) -> I64:

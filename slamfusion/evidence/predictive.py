@@ -170,12 +170,14 @@ class PathEvidence:
     Attributes:
         is_judged: (N,) bool, scans that every path has a pose for.
         scores: of the paths, by name, in the order given.
+        device: what computed them, and computes what is asked of them.
         gaps: of two paths, as far as ``path_gaps`` was asked for them.
     """
 
     scans: JudgedScans
     is_judged: B8
     scores: Mapping[str, PathScore]
+    device: ComputeDevice
     gaps: dict[tuple[str, str], F64] = field(default_factory=dict, init=False, repr=False)
 
     def of_paths(self, names: Collection[str]) -> PathEvidence:
@@ -230,9 +232,7 @@ def score_paths(
     return _score_covered(covered, scans, device)
 
 
-def with_path(
-    evidence: PathEvidence, name: str, path: Trajectory, device: ComputeDevice
-) -> PathEvidence:
+def with_path(evidence: PathEvidence, name: str, path: Trajectory) -> PathEvidence:
     """Score one more path of a drive; the same as if all were scored together.
 
     path: in its own frame, on the clock of the scans; may be sparse; with a new name.
@@ -244,11 +244,11 @@ def with_path(
     Raises:
         TrajectoryError: see ``score_paths``.
     """
-    scans, is_judged = evidence.scans, evidence.is_judged
+    scans, is_judged, device = evidence.scans, evidence.is_judged, evidence.device
     own = _covered(name, path, scans)
     if np.isfinite(own[0][is_judged, 0]).all():
         score = _score(name, own, scans, is_judged, device)
-        return PathEvidence(scans, is_judged, {**evidence.scores, name: score})
+        return replace(evidence, scores={**evidence.scores, name: score})
     covered = {known: (score.poses, score.is_own) for known, score in evidence.scores.items()}
     return _score_covered({**covered, name: own}, scans, device)
 
@@ -274,7 +274,7 @@ def _score_covered(
         message = f"no scan has a pose in every path (each alone: {shares}); leave one out"
         raise TrajectoryError(message)
     scores = {name: _score(name, own, scans, is_judged, device) for name, own in covered.items()}
-    return PathEvidence(scans, is_judged, scores)
+    return PathEvidence(scans, is_judged, scores, device)
 
 
 def _score(

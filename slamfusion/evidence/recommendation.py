@@ -19,7 +19,6 @@ from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
-from slamfusion.compute import ComputeDevice
 from slamfusion.evidence.beams import CHUNKS
 from slamfusion.evidence.displacement import CONTRADICTED, contradicted_share, find_displacements
 from slamfusion.evidence.parting import PART_M, Span, path_gap_m, path_spans
@@ -181,7 +180,6 @@ class Recommendation:
 def recommend(
     evidence: PathEvidence,
     slams: Collection[str],
-    device: ComputeDevice,
     *,
     fused: str | None = None,
     frames: Mapping[str, Trajectory] | None = None,
@@ -198,7 +196,7 @@ def recommend(
         for name in dict.fromkeys((path, alone, *evidence.ranking()))
     )
     own_paths = [own for own in paths if own.name in slams]
-    check, confidence = _checks(evidence, own_paths, path, frame, device)
+    check, confidence = _checks(evidence, own_paths, path, frame)
     return Recommendation(None, path, alone, confidence, check, paths=paths)
 
 
@@ -231,17 +229,13 @@ def choose_path(
 
 
 def _checks(
-    evidence: PathEvidence,
-    slams: Sequence[RankedPath],
-    path: str,
-    frame: Trajectory | None,
-    device: ComputeDevice,
+    evidence: PathEvidence, slams: Sequence[RankedPath], path: str, frame: Trajectory | None
 ) -> tuple[tuple[Check, ...], Confidence]:
     """Return the places of a path to check, in the order of time, and the confidence.
 
     ``frame`` is the path in the frame of the places; None: the path itself.
     """
-    displaced = find_displacements(evidence, path, device)
+    displaced = find_displacements(evidence, path)
     found: list[tuple[float, Check]] = []
 
     def add(from_s: float, to_s: float, at_s: float, weight: float, what: str) -> None:
@@ -261,7 +255,7 @@ def _checks(
     if evidence.scores[path].seen_share < LITTLE_SEEN:
         what = "little was seen a second time, so nothing confirms the path"
         add(0.0, float(since_s[-1]), float(since_s[-1]), 0.0, what)
-    contradicted = contradicted_share(evidence, path, device)
+    contradicted = contradicted_share(evidence, path)
     if contradicted > DOUBTED:
         what = f"{contradicted:.0%} of what the robot saw was free space at other times"
         add(0.0, float(since_s[-1]), float(since_s[-1]), contradicted, what)

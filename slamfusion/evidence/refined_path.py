@@ -36,7 +36,6 @@ from typing import Literal, TypeAlias
 import numpy as np
 import scipy
 
-from slamfusion.compute import ComputeDevice
 from slamfusion.evidence.beams import JudgedScans, cover_stamps
 from slamfusion.evidence.known_motions import KnownMotions, MotionEquations
 from slamfusion.evidence.patches import LATTICES, Patches, SurfaceHits, line_inverses, line_sums
@@ -194,7 +193,7 @@ class Refinement:
 
 
 def refine_borne_out(
-    evidence: PathEvidence, path: Trajectory, device: ComputeDevice
+    evidence: PathEvidence, path: Trajectory
 ) -> tuple[Trajectory, PathEvidence, Refinement]:
     """Refine a path unless the scans contradict the result; ``evidence`` has other paths.
 
@@ -205,10 +204,10 @@ def refine_borne_out(
     Raises:
         TrajectoryError: see ``score_paths``.
     """
-    with_given = with_path(evidence, path.name, path, device)
-    refined, both = _settled(with_given, path, with_given.scores[path.name].consistency, device)
+    with_given = with_path(evidence, path.name, path)
+    refined, both = _settled(with_given, path, with_given.scores[path.name].consistency)
     start: RefinementStart = "paths"
-    by_odometry = _from_odometry(with_given, path, device)
+    by_odometry = _from_odometry(with_given, path)
     if by_odometry is not None:
         other, with_other = by_odometry
         apart_m = np.linalg.norm(other.poses[:, :2] - refined.poses[:, :2], axis=1)
@@ -227,7 +226,7 @@ def refine_borne_out(
 
 
 def _from_odometry(
-    evidence: PathEvidence, path: Trajectory, device: ComputeDevice
+    evidence: PathEvidence, path: Trajectory
 ) -> tuple[Trajectory, PathEvidence] | None:
     """Lay the scans on each other along the odometry; None where they contradict it."""
     scans = evidence.scans
@@ -237,26 +236,26 @@ def _from_odometry(
         return None
     poses = laid_onto(scans.odometry[kept], given[kept])
     wheels = carried_along(path, scans.stamps_s[kept], given[kept], poses)
-    told = with_path(evidence, _REFINED, wheels, device).scores[_REFINED].consistency
+    told = with_path(evidence, _REFINED, wheels).scores[_REFINED].consistency
     if told < score.consistency - NEAR:
         return None
-    refined, both = _settled(evidence, wheels, told, device)
+    refined, both = _settled(evidence, wheels, told)
     poses = laid_onto(refined.poses, path.poses)
     return Trajectory(path.stamps_s, poses, path.name), both
 
 
 def _settled(
-    evidence: PathEvidence, path: Trajectory, told: float, device: ComputeDevice
+    evidence: PathEvidence, path: Trajectory, told: float
 ) -> tuple[Trajectory, PathEvidence]:
     """Lay scans on each other along a path, and along the result while that gains."""
     refined = refine_path(evidence.scans, path)
-    both = with_path(evidence, _REFINED, refined, device)
+    both = with_path(evidence, _REFINED, refined)
     for _ in range(1, MOST_ROUNDS):
         found = both.scores[_REFINED].consistency
         if found < told + ROUND_GAIN:
             break
         again = refine_path(evidence.scans, refined)
-        with_again = with_path(evidence, _REFINED, again, device)
+        with_again = with_path(evidence, _REFINED, again)
         told = found
         if with_again.scores[_REFINED].consistency > found:
             refined, both = again, with_again

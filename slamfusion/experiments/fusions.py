@@ -178,7 +178,7 @@ def _fuse(
     fused = None
     if len(paths) >= LEAST_FUSED:
         try:
-            found, with_fused = fuse_weighed_paths(paths, evidence, device)
+            found, with_fused = fuse_weighed_paths(paths, evidence)
         except SlamFusionError as error:
             notes[FUSED_PATH] = str(error)
         else:

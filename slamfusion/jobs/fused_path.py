@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from slamfusion.align.records import FusionResult
-from slamfusion.compute import ComputeDevice
 from slamfusion.errors import TrajectoryError
 from slamfusion.evaluation.measured import MeasuredPath
 from slamfusion.evidence.beams import JudgedScans, cover_stamps
@@ -50,7 +49,7 @@ class FusedPath(MeasuredPath):
 
 
 def fuse_weighed_paths(
-    paths: Mapping[str, Trajectory], evidence: PathEvidence | None, device: ComputeDevice
+    paths: Mapping[str, Trajectory], evidence: PathEvidence | None
 ) -> tuple[FusedPath, PathEvidence | None]:
     """Fuse paths, each weighed by its support by the scans, then align all scans along the result.
 
@@ -68,7 +67,7 @@ def fuse_weighed_paths(
     path = fuse_paths(paths, trust, sharing_fault=drifting, name=FUSED)
     refinement = None
     if evidence is not None:
-        path, evidence, refinement = refine_borne_out(evidence, path, device)
+        path, evidence, refinement = refine_borne_out(evidence, path)
     return FusedPath(trajectory=path, trust=trust, refinement=refinement), evidence
 
 

@@ -173,9 +173,9 @@ def judge_paths(
     evidence = score_paths(scans, read, device)
     fused_path, every = None, read
     if fused_file is not None:
-        fused_path, with_fused = _fuse(read, evidence, device)
+        fused_path, with_fused = _fuse(read, evidence)
         evidence, every = with_fused or evidence, {**read, FUSED: fused_path.trajectory}
-    found = recommend(evidence, tuple(read), device, fused=None if fused_path is None else FUSED)
+    found = recommend(evidence, tuple(read), fused=None if fused_path is None else FUSED)
     found = _with_sensor_faults(found, wheels, every.get(found.path or ""), warn)
     not_measured = []
 
@@ -287,7 +287,7 @@ def _check_fused(files: Mapping[str, Path]) -> None:
 
 
 def _fuse(
-    paths: Mapping[str, Trajectory], evidence: PathEvidence, device: ComputeDevice
+    paths: Mapping[str, Trajectory], evidence: PathEvidence
 ) -> tuple[FusedPath, PathEvidence | None]:
     """Make one path of several, each at the scans that it has a pose for or odometry gives one."""
     at_scans = {}
@@ -296,4 +296,4 @@ def _fuse(
             at_scans[name] = path_at_scans(path, evidence.scans)
         except TrajectoryError as error:
             raise TrajectoryError(f"{name}: {error}") from error
-    return fuse_weighed_paths(at_scans, evidence, device)
+    return fuse_weighed_paths(at_scans, evidence)

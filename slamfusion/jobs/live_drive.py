@@ -368,7 +368,7 @@ class LiveDrive:
         return DriveSolution(
             path,
             Evidence(corrections, self._doubts, own_lattice, drawn),
-            drive_conditions(evidence, FUSED, self._device),
+            drive_conditions(evidence, FUSED),
             depth == "final",
             WallMap.of(scans, path, covariance),
         )
@@ -446,7 +446,7 @@ def _solved(
 ) -> tuple[Trajectory, PathEvidence | None]:
     """Score paths on scans and make one of them, as ``run`` does."""
     evidence = score_paths(judged, paths, device)
-    fused, with_fused = fuse_weighed_paths(paths, evidence, device)
+    fused, with_fused = fuse_weighed_paths(paths, evidence)
     return fused.trajectory, with_fused
 
 

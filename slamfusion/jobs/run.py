@@ -156,7 +156,7 @@ def run_log(  # noqa: PLR0915 - one page, a heading a stage
     with stages.timed("path"):
         if len(paths) >= LEAST_FUSED:
             with stages.noting("the fused path: "):
-                fused_path, with_fused = fuse_weighed_paths(paths, evidence, device)
+                fused_path, with_fused = fuse_weighed_paths(paths, evidence)
 
     # Vote.
     with stages.timed("fusion"):
@@ -185,7 +185,7 @@ def run_log(  # noqa: PLR0915 - one page, a heading a stage
     with stages.timed("evidence"):
         if fused_path is not None:
             evidence = with_fused
-        answer = _recommend(paths, evidence, fused_path, fusion, wheels, device)
+        answer = _recommend(paths, evidence, fused_path, fusion, wheels)
     if answer is not None and fusion.result is None and isinstance(failure, AlignmentError):
         words = f"{failure}; the fallback map is that of {answer.use}"
         fusion = replace(fusion, failure=AlignmentError(words, fusion.pairs))
@@ -347,7 +347,7 @@ def score_all_paths(
             if evidence is None:
                 raise TrajectoryError(reason)
             at_scans = path_at_scans(path, evidence.scans)
-            evidence = with_path(evidence, name, path, device)
+            evidence = with_path(evidence, name, path)
         except SlamFusionError as error:
             leave_out(name, str(error))
         else:
@@ -418,14 +418,13 @@ def _recommend(
     fused_path: FusedPath | None,
     fusion: DriveFusion,
     wheels: Trajectory | None,
-    device: ComputeDevice,
 ) -> Recommendation | None:
     """Say which map and path to use; None if there is no map."""
     fallback = None if fusion.fallback is None else fusion.fallback.name
     is_fused = fusion.usable is not None
     every = paths if fused_path is None else {**paths, FUSED: fused_path.trajectory}
     if evidence is not None:
-        found = recommend(evidence, tuple(paths), device, fused=FUSED, frames=every)
+        found = recommend(evidence, tuple(paths), fused=FUSED, frames=every)
         is_one_map = found.path == FUSED or (is_fused and fused_path is None)
         found = replace(found, use=FUSED if is_one_map else found.path)
     elif (use := FUSED if is_fused else fallback) is not None:

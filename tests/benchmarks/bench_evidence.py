@@ -151,7 +151,7 @@ def judge_drive(folder: Path, device: ComputeDevice) -> Iterator[Found]:
         judged = judged_scans(scans)
         alone = score_paths(judged, parts, device)
         time_s = time.perf_counter() - began_s
-        fused = {FUSED: fuse_weighed_paths(parts, alone, device)[0].trajectory}
+        fused = {FUSED: fuse_weighed_paths(parts, alone)[0].trajectory}
         evidence = score_paths(judged, {TRUTH: truth, **parts, **fused, **wrong}, device)
         contest = evidence.of_paths((TRUTH, *parts))
         best, *others = contest.ranking()
@@ -171,7 +171,7 @@ def judge_drive(folder: Path, device: ComputeDevice) -> Iterator[Found]:
             tuple(
                 name
                 for name in evidence.scores
-                if any(part.away_m >= PART_M for part in find_displacements(evidence, name, device))
+                if any(part.away_m >= PART_M for part in find_displacements(evidence, name))
             ),
             (best, *(name for name in others if name not in behind)),
             ate_m,

@@ -63,7 +63,7 @@ def candidates(
     closers = loop_closers(paths)
     drifting = [name for name in paths if name not in closers]
     fused = fuse_paths(paths, trust_in_paths(evidence), sharing_fault=drifting, name=FUSED)
-    refined, _, _ = refine_borne_out(evidence, fused, device)
+    refined, _, _ = refine_borne_out(evidence, fused)
     found = {
         **paths,
         CONSENSUS: Trajectory(stamps_s, find_modes(laid, weights), CONSENSUS),

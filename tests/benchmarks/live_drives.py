@@ -292,7 +292,7 @@ def as_run(
     """
     paths = {name: told.paths[name] for name in names}
     evidence = score_paths(judged_scans(told.drive.scans), paths, device)
-    path = fuse_weighed_paths(paths, evidence, device)[0].trajectory
+    path = fuse_weighed_paths(paths, evidence)[0].trajectory
     path, lattice = moved_onto(path, [live.path]), live.evidence.lattice
     rays, size = [*scan_hits(told.drive.scans)], lattice.resolution
     return path, draw_map(rays, path, device, resolution=size, origin=lattice.origin)

@@ -26,9 +26,7 @@ CHANGED = 96
 def conditions(
     scans: Sequence[LogScan], path: Trajectory, device: ComputeDevice
 ) -> Mapping[Condition, str]:
-    return drive_conditions(
-        score_paths(judged_scans(scans), {"path": path}, device), "path", device
-    )
+    return drive_conditions(score_paths(judged_scans(scans), {"path": path}, device), "path")
 
 
 def with_odometry(scans: Sequence[LogScan], poses: Sequence[Sequence[float]]) -> list[LogScan]:
@@ -117,9 +115,9 @@ def test_it_is_no_other_place_while_one_path_fits(
     away = bent(path, 1.5, 70)
     paths = {"path": away, "right": path}
     evidence = score_paths(judged_scans(scans), paths, device)
-    assert not drive_conditions(evidence.of_paths(["right"]), "right", device)
-    assert "new place" in drive_conditions(evidence.of_paths(["path"]), "path", device)
-    assert "new place" not in drive_conditions(evidence, "path", device)
+    assert not drive_conditions(evidence.of_paths(["right"]), "right")
+    assert "new place" in drive_conditions(evidence.of_paths(["path"]), "path")
+    assert "new place" not in drive_conditions(evidence, "path")
 
 
 @pytest.mark.parametrize(("first", "last"), [(60, 84), (120, 144)])
@@ -134,6 +132,6 @@ def test_inputs_that_have_parted_where_no_scan_shows_which_is_right(
     other[first:last, 1] += 2.0
     paths = {"path": Trajectory(path.stamps_s, poses), "b": Trajectory(path.stamps_s, other)}
     evidence = score_paths(judged_scans(recorded(path, odometry=False)), paths, device)
-    words = drive_conditions(evidence, "path", device).get("undecided", "")
+    words = drive_conditions(evidence, "path").get("undecided", "")
     assert words.startswith("since stamp 30 s b is up to 2.0 m" if last == 144 else "")
     assert bool(words) == (last == 144)

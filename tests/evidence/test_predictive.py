@@ -69,7 +69,7 @@ def test_path_added_later_is_scored_as_with_the_others(
 ):
     others = {"truth": TRUTH, "drifted": WRONG["drifted"]}
     added = Trajectory(TRUTH.stamps_s[kept], WRONG["torn in two"].poses[kept])
-    found = with_path(score_paths(scans, others, device), "added", added, device)
+    found = with_path(score_paths(scans, others, device), "added", added)
     wanted = score_paths(scans, {**others, "added": added}, device)
     assert list(found.scores) == list(wanted.scores)
     assert np.array_equal(found.is_judged, wanted.is_judged)
@@ -85,7 +85,7 @@ def test_path_added_later_must_meet_a_scan(device: ComputeDevice, scans: JudgedS
     evidence = score_paths(scans, {"truth": TRUTH}, device)
     late = Trajectory(TRUTH.stamps_s + 1e6, TRUTH.poses)
     with pytest.raises(TrajectoryError, match=r"late: its poses are of .*give a path of this log"):
-        with_path(evidence, "late", late, device)
+        with_path(evidence, "late", late)
 
 
 def test_too_few_scans_are_refused():

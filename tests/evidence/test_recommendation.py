@@ -29,11 +29,9 @@ PATHS = {"bent": BENT, "less": LESS, "close": CLOSE, "fused": TRUTH}
 ROUNDS = circuit(288, 6.0)
 
 
-def answer_of(
-    evidence: PathEvidence, device: ComputeDevice, fused: str | None = None
-) -> Recommendation:
+def answer_of(evidence: PathEvidence, fused: str | None = None) -> Recommendation:
     slams = [name for name in evidence.scores if name != fused]
-    return recommend(evidence, slams, device, fused=fused)
+    return recommend(evidence, slams, fused=fused)
 
 
 def place_at(path: Trajectory, at_s: float) -> tuple[float, float]:
@@ -45,7 +43,7 @@ def place_at(path: Trajectory, at_s: float) -> tuple[float, float]:
 def test_the_fused_path_is_the_answer_and_the_slam_nearest_to_it(
     device: ComputeDevice, scans: JudgedScans
 ):
-    answer = answer_of(score_paths(scans, PATHS, device), device, "fused")
+    answer = answer_of(score_paths(scans, PATHS, device), "fused")
     assert (answer.path, answer.best_single) == ("fused", "close")
     assert [path.name for path in answer.paths][:2] == ["fused", "close"]
     away_m = {path.name: path.from_fused_m for path in answer.paths}
@@ -64,7 +62,7 @@ def test_without_a_fused_path_the_scans_choose(
     device: ComputeDevice, scans: JudgedScans, fused: str | None
 ):
     evidence = score_paths(scans, {"bent": BENT, "close": CLOSE}, device)
-    answer = answer_of(evidence, device, fused)
+    answer = answer_of(evidence, fused)
     assert (answer.path, answer.best_single) == ("close", "close")
     assert {path.from_fused_m for path in answer.paths} == {None}
 
@@ -74,7 +72,7 @@ def test_a_fused_path_that_the_scans_contradict_is_not_the_answer(
 ):
     near_the_wrong = Trajectory(BENT.stamps_s, BENT.poses + np.array([0.01, 0.0, 0.0]))
     paths = {"bent": BENT, "right": TRUTH, "fused": near_the_wrong}
-    answer = answer_of(score_paths(scans, paths, device), device, "fused")
+    answer = answer_of(score_paths(scans, paths, device), "fused")
     assert (answer.path, answer.best_single) == ("right", "right")
 
 
@@ -95,7 +93,7 @@ def test_a_right_path_is_green_whatever_stands_in_the_way(device: ComputeDevice)
     alone = score_paths(judged_scans(recorded(ROUNDS, odometry=False)), {"a": ROUNDS}, device)
     # A hit is less likely by far than in an empty room.
     assert evidence.scores["a"].seen_consistency < 3.0 * alone.scores["a"].seen_consistency
-    answer = answer_of(evidence, device)
+    answer = answer_of(evidence)
     assert (answer.confidence, answer.tone, answer.check) == ("high", "good", ())
     assert answer.headline == "Use the a path: no scan contradicts it"
 
@@ -107,9 +105,9 @@ def test_a_path_whose_map_is_elsewhere_each_time_is_red(device: ComputeDevice):
     scans = judged_scans(recorded(ROUNDS, odometry=False))
     lost = Trajectory(ROUNDS.stamps_s, ROUNDS.poses + off[scans.chunks])
     evidence = score_paths(scans, {"lost": lost, "right": ROUNDS}, device)
-    assert answer_of(evidence.of_paths(("lost",)), device).confidence == "low"
+    assert answer_of(evidence.of_paths(("lost",))).confidence == "low"
     # With a right one among them that is the answer.
-    answer = answer_of(evidence, device)
+    answer = answer_of(evidence)
     assert (answer.path, answer.confidence) == ("right", "high")
 
 
@@ -117,10 +115,10 @@ def test_a_path_whose_map_is_elsewhere_each_time_is_red(device: ComputeDevice):
 def test_a_map_that_shows_its_walls_twice_is_red(device: ComputeDevice, away_m: float):
     torn = moved(ROUNDS, (0.6 * away_m, 0.8 * away_m, 0.0), 144)
     evidence = score_paths(judged_scans(recorded(ROUNDS, odometry=False)), {"a": torn}, device)
-    displaced = find_displacements(evidence, "a", device)
+    displaced = find_displacements(evidence, "a")
     assert len(displaced) > MOST_CHECKS
     assert {round(part.away_m, 1) for part in displaced} <= {away_m, away_m - 0.1, away_m + 0.1}
-    answer = answer_of(evidence, device)
+    answer = answer_of(evidence)
     assert (answer.confidence, answer.tone) == ("low", "bad")
     assert answer.headline == "Do not trust the a path: the scans contradict it"
     assert len(answer.check) == MOST_CHECKS
@@ -134,7 +132,7 @@ def test_a_map_that_shows_its_walls_twice_is_red(device: ComputeDevice, away_m: 
 def test_walls_displaced_in_one_part_alone_are_amber(device: ComputeDevice):
     part = moved(moved(ROUNDS, (0.3, 0.4, 0.0), 120), (-0.3, -0.4, 0.0), 150)
     evidence = score_paths(judged_scans(recorded(ROUNDS, odometry=False)), {"a": part}, device)
-    answer = answer_of(evidence, device)
+    answer = answer_of(evidence)
     assert (answer.confidence, answer.tone) == ("medium", "warn")
     assert answer.check
     assert all(28.0 < place.from_s < 38.0 for place in answer.check)
@@ -149,7 +147,7 @@ def test_where_two_paths_part_and_no_scan_tells_is_a_place_to_check(device: Comp
     stamps_s = 0.25 * np.arange(144)
     scans = judged_scans(recorded(circuit(144, 3.0), odometry=False))
     paths = {"a": Trajectory(stamps_s, poses), "b": Trajectory(stamps_s, other)}
-    answer = answer_of(score_paths(scans, paths, device), device)
+    answer = answer_of(score_paths(scans, paths, device))
     assert answer.confidence == "medium"
     (place,) = answer.check
     assert 14.0 < place.from_s < 16.0
@@ -160,7 +158,7 @@ def test_where_two_paths_part_and_no_scan_tells_is_a_place_to_check(device: Comp
 def test_a_drive_that_sees_nothing_twice_is_not_confirmed(device: ComputeDevice):
     away = np.outer(20.0 * np.arange(144), [1.0, 0.0, 0.0])
     lost = Trajectory(TRUTH.stamps_s, TRUTH.poses + away)
-    answer = answer_of(score_paths(judged_scans(recorded(TRUTH)), {"a": lost}, device), device)
+    answer = answer_of(score_paths(judged_scans(recorded(TRUTH)), {"a": lost}, device))
     assert answer.confidence == "medium"
     (place,) = answer.check
     assert "nothing confirms the path" in place.what
@@ -177,7 +175,7 @@ def test_a_laser_that_contradicts_the_odometry_comes_first() -> None:
 def test_the_answer_is_read_as_it_was_written(device: ComputeDevice):
     torn = moved(ROUNDS, (0.3, 0.4, 0.0), 144)
     evidence = score_paths(judged_scans(recorded(ROUNDS, odometry=False)), {"a": torn}, device)
-    answer = answer_of(evidence, device)
+    answer = answer_of(evidence)
     again = Recommendation.from_json(plain(answer))
     assert (again.headline, again.lines()) == (answer.headline, answer.lines())
     assert plain(again) == plain(answer)

@@ -31,13 +31,13 @@ def test_a_path_that_lays_walls_on_each_other_is_taken(
     truth = circuit()
     evidence = score_paths(scans, {"truth": truth}, device)
     given = wavy(truth)
-    path, with_refined, found = refine_borne_out(evidence, given, device)
+    path, with_refined, found = refine_borne_out(evidence, given)
     assert found.taken
     assert found.comparison.verdict == "better"
     assert path.name == "fused"
     assert not np.array_equal(path.poses, given.poses)
     assert tuple(with_refined.scores) == ("truth", "fused")
-    again = with_path(evidence, "fused", path, device).scores["fused"]
+    again = with_path(evidence, "fused", path).scores["fused"]
     assert with_refined.scores["fused"].consistency == again.consistency
     assert plain(found)["taken"]
 
@@ -52,11 +52,11 @@ def test_a_path_that_the_scans_speak_against_is_not_taken(
     monkeypatch.setattr(
         refined_path, "refine_path", lambda _, path: moved(path, (0.4, 0.0, 0.0), len(path) // 2)
     )
-    path, with_given, found = refine_borne_out(evidence, given, device)
+    path, with_given, found = refine_borne_out(evidence, given)
     assert not found.taken
     assert found.comparison.verdict == "worse"
     assert path is given
-    before = with_path(evidence, "fused", given, device).scores["fused"]
+    before = with_path(evidence, "fused", given).scores["fused"]
     assert with_given.scores["fused"].consistency == before.consistency
     assert tuple(with_given.scores) == ("other", "fused")
     assert plain(found) == {
@@ -89,7 +89,7 @@ def test_where_the_odometry_is_nearer_the_path_is_sought_from_it(
     assert scans.odometry is not None
     elsewhere = replace(scans, odometry=compose_poses((30.0, -4.0, 2.0), scans.odometry))
     evidence = replace(evidence, scans=elsewhere)
-    path, with_refined, found = refine_borne_out(evidence, given, device)
+    path, with_refined, found = refine_borne_out(evidence, given)
     assert (found.taken, found.start) == (True, "odometry")
     assert plain(found)["start"] == "odometry"
     assert found.comparison.verdict == "better"
@@ -100,5 +100,5 @@ def test_where_the_odometry_is_nearer_the_path_is_sought_from_it(
     assert np.array_equal(path.stamps_s, given.stamps_s)
     off_m = np.linalg.norm(path.poses[:, :2] - given.poses[:, :2], axis=1)
     assert np.median(off_m) < 0.6
-    again = with_path(evidence, "fused", path, device).scores["fused"]
+    again = with_path(evidence, "fused", path).scores["fused"]
     assert with_refined.scores["fused"].consistency == pytest.approx(again.consistency, abs=2e-3)

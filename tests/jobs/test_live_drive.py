@@ -181,7 +181,7 @@ def test_when_no_scan_comes_the_answer_is_that_of_run(
     stamps_s = np.array([item.scan.stamp_s for item in robot.scans])
     given = {name: Trajectory(stamps_s, np.array(rows), name) for name, rows in paths.items()}
     evidence = score_paths(judged_scans(robot.scans), given, device)
-    wanted = fuse_weighed_paths(given, evidence, device)[0].trajectory
+    wanted = fuse_weighed_paths(given, evidence)[0].trajectory
     motion = fit_motion(with_levers(final.poses), with_levers(wanted.poses))
     assert np.abs(moved_poses(motion, final.poses) - wanted.poses).max() < 1e-9
 

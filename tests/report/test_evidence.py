@@ -25,7 +25,7 @@ def test_the_fused_path_has_its_colour_and_the_slams_theirs() -> None:
         judged_scans(recorded(TRUTH)), {"graph": NEAR, "fused": TRUTH, "gmapping": NEAR}, device
     )
     slams = ("graph", "gmapping")
-    answer = recommend(evidence, slams, device, fused="fused")
+    answer = recommend(evidence, slams, fused="fused")
     section = evidence_section(answer, evidence)
     (picture,) = section.pictures
     assert picture.legend == {name: NAMED[name] for name in ("graph", "fused", "gmapping")}
@@ -33,6 +33,6 @@ def test_the_fused_path_has_its_colour_and_the_slams_theirs() -> None:
     found = dict(re.findall(r'<tr><td class="\w+">(\w+)</td>.*">(.*)</td></tr>', section.tables))
     assert found == {"fused": "-", "graph": "0.000", "gmapping": "0.000"}
     # A path that only has this name is one like the others.
-    answer = recommend(evidence, tuple(evidence.scores), device)
+    answer = recommend(evidence, tuple(evidence.scores))
     section = evidence_section(answer, evidence)
     assert section.tables.count('<td class="plain number">-</td></tr>') == 3
