@@ -39,6 +39,8 @@ from slamfusion.pose_graph.uncertainty import inverted, moved
 
 # Aligns two maps, by name, with a full search.
 AlignPair = Callable[[str, str], Alignment]
+# The poses of maps that fit together, in that of the first of them, metres; in input order.
+MapGroup = Mapping[str, Pose2]
 # Receives the pairs that are likely to be requested next.
 Ahead = Callable[[Iterable[tuple[str, str]]], None]
 
@@ -90,21 +92,6 @@ class Candidate:
         return frozenset((self.a, self.b))
 
 
-@dataclass(frozen=True, eq=False)
-class MapGroup:
-    """Maps that fit together.
-
-    Attributes:
-        members: their names, in input order.
-        score: sum of the scores of the alignments that join them.
-        poses: of each map's frame in that of the first member, metres.
-    """
-
-    members: tuple[str, ...]
-    score: float
-    poses: Mapping[str, Pose2]
-
-
 class GroupSearch:
     """Finds the groups of maps that fit together."""
 
@@ -146,9 +133,12 @@ class GroupSearch:
             strongest = max(accepted, key=_strength)
             del self.graph.false[key_of(strongest)]
             self.graph.believe(strongest)
-        groups = [self.solved(group) for group in self.graph.groups()]
-        groups.sort(key=lambda group: (len(group.members), group.score), reverse=True)
-        return groups, self.told()
+
+        def rank(group: tuple[str, ...]) -> tuple[int, float]:
+            return len(group), math.fsum(pair.score for pair in self.graph.links_inside(group))
+
+        groups = sorted(self.graph.groups(), key=rank, reverse=True)
+        return [self.solved(group) for group in groups], self.told()
 
     def align_all(self) -> None:
         """Align every candidate, and sort the candidates by strength."""
@@ -209,9 +199,8 @@ class GroupSearch:
         Source: ``pose_graph.robust``, graduated non-convexity.
         """
         links, start = self.graph.links_inside(group), self.graph.poses(group)
-        score = math.fsum(pair.score for pair in links)
         if len(links) < len(group):
-            return MapGroup(group, score, start)
+            return {name: start[name] for name in group}
         number = {name: index for index, name in enumerate(group)}
         middles = {name: Pose2(*self.features[name].middle) for name in group}
         motions, covariances = [], []
@@ -241,7 +230,7 @@ class GroupSearch:
             for name, row in zip(group, solved.poses, strict=True)
         }
         first = poses[group[0]].inverse()
-        return MapGroup(group, score, {name: first.compose(pose) for name, pose in poses.items()})
+        return {name: first.compose(pose) for name, pose in poses.items()}
 
     def told(self) -> list[Alignment]:
         """Return every examined pair with its final decision."""

@@ -115,7 +115,7 @@ def align_group(
         aligner.tasks.close()
     aligner.tell("vote", aligner.done)
     least = 1 if len(names) == 1 else LEAST_FUSED
-    found = [group for group in found if len(group.members) >= least]
+    found = [group for group in found if len(group) >= least]
     if not found:
         told = [f"{pair.moving} to {pair.reference}: {pair.reason}" for pair in pairs]
         words = "; ".join([*reasons.values(), *told]) or "where starts put them no two can meet"
@@ -123,17 +123,15 @@ def align_group(
         message = f"no two of the inputs {listed} align, so nothing is fused ({words})"
         raise AlignmentError(message, tuple(pairs))
     group, *rest = found
-    reference = choose_reference(group.members, features, config.reference, names)
+    reference = choose_reference(list(group), features, config.reference, names)
     alignments = _to_reference(reference, group, features, pairs)
     left_out = {
-        name: _left_out(name, reference, group, pairs)
-        for name in features
-        if name not in group.members
+        name: _left_out(name, reference, group, pairs) for name in features if name not in group
     }
     wanted = None if named_input(config.reference, names) in names else config.reference
     others = []
     for other in rest:
-        own = choose_reference(other.members, features, wanted, names)
+        own = choose_reference(list(other), features, wanted, names)
         others.append(Members(own, _to_reference(own, other, features, pairs)))
     return AlignedGroup(reference, alignments, left_out, tuple(pairs), tuple(others))
 
@@ -259,21 +257,21 @@ def _to_reference(
 ) -> dict[str, Alignment]:
     """Return each member's alignment to the reference, the reference's own the identity."""
     direct = {frozenset((pair.reference, pair.moving)): pair for pair in pairs if pair.accepted}
-    back = group.poses[reference].inverse()
+    back = group[reference].inverse()
     out = {}
-    for name in group.members:
+    for name in group:
         if name == reference:
             out[name] = Alignment(
                 moving=name, reference=name, accepted=True, reason="the reference", score=1.0,
                 overlap=1.0,
             )  # fmt: skip
             continue
-        transform = back.compose(group.poses[name])
+        transform = back.compose(group[name])
         pair = direct.get(frozenset((reference, name)))
         if pair is not None:
             own = _most_supported(name, pair, group, pairs)
             if own.reference != reference:
-                own = _in_frame_of(reference, back.compose(group.poses[own.reference]), own)
+                own = _in_frame_of(reference, back.compose(group[own.reference]), own)
             out[name] = replace(own, transform=transform)
         else:
             out[name] = placed(Pair(features[reference], features[name]), transform)
@@ -288,7 +286,7 @@ def _most_supported(
     That is its own to the reference, unless walls of another member support it more: the reference
     may be bent.
     """
-    members = set(group.members)
+    members = set(group)
     partners = [
         pair for pair in pairs if pair.accepted and name in {pair.reference, pair.moving} <= members
     ]
@@ -330,8 +328,7 @@ def _left_out(
     mine = [
         pair
         for pair in pairs
-        if name in {pair.reference, pair.moving}
-        and {pair.reference, pair.moving} & set(group.members)
+        if name in {pair.reference, pair.moving} and {pair.reference, pair.moving} & set(group)
     ]
     if not mine:
         return f"no pair of it with the maps around {reference} was promising", None
