@@ -75,7 +75,6 @@ class LiveUpdate:
         time_s: seconds by step: ``prepare``, ``align``, ``vote``.
         is_full_search: whether an input was searched everywhere.
         reference: name of the input that others are aligned to; empty without.
-        changed_box: the cells of ``fused`` that were voted on; None with ``fused``.
         problem: why nothing is fused, one line; empty while something is.
         arrived_s: when the first map came that the update took; None: none, or saved maps alone.
     """
@@ -86,7 +85,6 @@ class LiveUpdate:
     time_s: dict[str, float]
     is_full_search: bool
     reference: str
-    changed_box: CellBox | None
     problem: str = ""
     arrived_s: float | None = None
 
@@ -233,7 +231,6 @@ class LiveFusion(Mailbox):
             {step: end - begin for step, begin, end in steps},
             self._aligner.has_searched,
             self._supervisor.reference,
-            box,
             "" if self._layers.names else self._supervisor.problem,
             arrived_s,
         )

@@ -93,20 +93,12 @@ def test_the_map_drawn_from_scans_takes_the_vote_of_those_it_was_drawn_by(
     assert drive.fused is not None
     assert_same_lattice(before, drive.fused)
     assert np.array_equal(on_lattice(drive.fused, drawn), drawn.cells)
-    # One more wall changes its cells alone.
     cells = drawn.cells.copy()
     cells[40:44, 50:54] = 100
-    drive.live.put_evidence(
-        Evidence(
-            place_of(drive)[1],
-            {},
-            place_of(drive)[0],
-            OccupancyGrid(cells, drawn.resolution, drawn.origin, "drawn"),
-        )
-    )
-    update = drive.step()
-    assert update.changed_box is not None
-    assert update.changed_box.area < drawn.cells.size / 4
+    more = OccupancyGrid(cells, drawn.resolution, drawn.origin, "drawn")
+    drive.live.put_evidence(Evidence(place_of(drive)[1], {}, place_of(drive)[0], more))
+    drive.step()
+    assert np.array_equal(on_lattice(drive.fused, more), cells)
     assert drive.accepted() == "abc"
 
 
