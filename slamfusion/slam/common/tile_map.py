@@ -128,11 +128,10 @@ class _Tiles:
         (col0, row0), (col1, row1) = (corner // TILE for corner in self.used_box(*index))
         cut = self.pages[index][row0:row1, col0:col1]
         height, width = cut.shape
-        numbers, places = np.unique(cut, return_inverse=True)
-        tiles = self._device.take_tiles(self.pools[name], numbers)
-        values = np.empty((height, TILE, width, TILE), dtype=tiles.dtype)
-        for row, own in zip(values, places.reshape(cut.shape), strict=True):
-            row[:] = tiles[own].transpose(1, 0, 2)
+        pool = self.pools[name]
+        values = np.empty((height, TILE, width, TILE), dtype=pool.dtype)
+        for row, numbers in zip(values, cut, strict=True):
+            row[:] = self._device.take_tiles(pool, numbers).transpose(1, 0, 2)
         first = (self.corner + np.array([col0, row0])) * TILE
         return values.reshape(height * TILE, width * TILE), first
 

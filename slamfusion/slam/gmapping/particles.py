@@ -14,7 +14,7 @@ from slamfusion.compute.arrays import DeviceArray
 from slamfusion.compute.hit_counts import BeamScan, FieldRule, halve_counts, percent_of_counts
 from slamfusion.compute.layout import MOST_BEAMS
 from slamfusion.geometry import F64, I64, Pose2, compose_poses, corners, pose_of, wrap_angles
-from slamfusion.grid import OccupancyGrid
+from slamfusion.grid import OccupancyGrid, row_parts
 from slamfusion.scan import LaserScan
 from slamfusion.slam.common.mapper import Series
 from slamfusion.slam.common.matcher import FieldMap, pose_table
@@ -201,7 +201,10 @@ class ParticleMaps(Stateful):
     def grid(self, index: int, name: str) -> OccupancyGrid:
         """Return one particle's map as it is published."""
         counts, first = self.tiles.cells("counts", index)
-        percent = percent_of_counts(counts >> 16, counts & 0xFFFF, self._config.occ_thresh)
+        percent = np.empty(counts.shape, dtype=np.int8)
+        for rows in row_parts(counts.shape):
+            hits, visits = counts[rows] >> 16, counts[rows] & 0xFFFF
+            percent[rows] = percent_of_counts(hits, visits, self._config.occ_thresh)
         return known_part(percent, self.anchor, first, self._config.delta, name)
 
     def integrate(self, beams: Beams, poses: F64, alive: I64) -> None:

@@ -20,7 +20,7 @@ from slamfusion.compute.layout import BEAM_ONE, MEAN_HALF, MOST_OBSERVATIONS, UN
 from slamfusion.config import CellModel, TinySlamConfig
 from slamfusion.errors import SlamFusionError
 from slamfusion.geometry import F64, Pose2, corners, pose_of, row_of
-from slamfusion.grid import UNKNOWN, OccupancyGrid
+from slamfusion.grid import UNKNOWN, OccupancyGrid, row_parts
 from slamfusion.scan import LaserScan
 from slamfusion.slam.common.mapper import Health, Series, Step
 from slamfusion.slam.common.matcher import FieldMap, Match, PoseHypothesis
@@ -174,7 +174,9 @@ class TinySlam:
         if not self._mapped:
             raise SlamFusionError(f"{self.name}: no scan could be used, so there is no map")
         states, first = self._map.cells("published")
-        percent = _percent(states.astype(np.uint32))
+        percent = np.empty(states.shape, dtype=np.int8)
+        for rows in row_parts(states.shape):
+            percent[rows] = _percent(states[rows])
         return known_part(percent, self._anchor, first, self._config.resolution, self.name)
 
     def memory_bytes(self) -> int:
