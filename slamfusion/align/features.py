@@ -16,13 +16,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.align.likelihood import (
-    EvidenceTable,
-    ScoreTable,
-    evidence_table,
-    likeness,
-    score_table,
-)
+from slamfusion.align.likelihood import ScoreTable, evidence_table, likeness, score_table
 from slamfusion.align.lines import PieceLines
 from slamfusion.align.normalize import LEAST_KEPT, NormalizedGrid
 from slamfusion.compute import ComputeDevice
@@ -315,11 +309,11 @@ class GridFeatures:
         return PieceLines(points, starts[:-1], places, width, apart)
 
     @_kept
-    def piece_words(self, sigma: float) -> tuple[EvidenceTable, DeviceArray[Any]]:
+    def piece_words(self, sigma: float) -> tuple[ScoreTable, DeviceArray[Any]]:
         """Return the evidence of walls of a width in cells, and what their pieces look up."""
-        table = self.evidence_table(1, sigma, FIELD_TOP)
+        table, field = self.field(1, sigma, FIELD_TOP)
         words = self.device.piece_words(
-            self.field(1, table), self.level(1).distance2, self.cells,
+            field, self.level(1).distance2, self.cells,
             self.device.upload(self._facings()), base=table.base, span=table.span,
             near2=int((2.0 * sigma) ** 2),
         )  # fmt: skip
@@ -336,17 +330,13 @@ class GridFeatures:
         return wall_directions(self.grid.solid)
 
     @_kept
-    def evidence_table(
+    def field(
         self, step: int, sigma: float, top: int, doubt: float = 0.0
-    ) -> EvidenceTable:
-        """Return the evidence of a wall of the other map in each cell of a level."""
-        return evidence_table(self.chance(step, sigma), sigma, top, doubt)
-
-    @_kept
-    def field(self, step: int, table: ScoreTable) -> DeviceArray[Any]:
-        """Return the score field of a level, uint8 on the device."""
+    ) -> tuple[ScoreTable, DeviceArray[Any]]:
+        """Return the evidence of a wall of the other map, and in each cell of a level, uint8."""
+        table = evidence_table(self.chance(step, sigma), sigma, top, doubt)
         level = self.level(step)
-        return self.device.score_field(
+        return table, self.device.score_field(
             level.distance2, level.free, table.hit, table.miss, table.base
         )
 

@@ -42,23 +42,14 @@ class ScoreTable:
         hit, miss: (4097,) uint16; ``base + hit - miss * free share`` is a field's cell.
         base: worth of a point in unknown space.
         span: largest gain over the base, so that (value - base) / span is 1 on a wall.
+        unit: nats a value, where the values count evidence.
     """
 
     hit: npt.NDArray[np.uint16]
     miss: npt.NDArray[np.uint16]
     base: int
     span: int
-
-
-@dataclass(frozen=True, eq=False)
-class EvidenceTable(ScoreTable):
-    """A table whose values count evidence.
-
-    Attributes:
-        unit: nats a value.
-    """
-
-    unit: float
+    unit: float = 0.0
 
 
 def score_table(sigma: float, base: int, span: int) -> ScoreTable:
@@ -73,7 +64,7 @@ def score_table(sigma: float, base: int, span: int) -> ScoreTable:
     return ScoreTable(hit, miss, base, span)
 
 
-def evidence_table(chance: float, sigma: float, top: int, doubt: float = 0.0) -> EvidenceTable:
+def evidence_table(chance: float, sigma: float, top: int, doubt: float = 0.0) -> ScoreTable:
     """Return the table of L, less ``doubt`` times the shortfall from its maximum.
 
     Args:
@@ -92,7 +83,7 @@ def evidence_table(chance: float, sigma: float, top: int, doubt: float = 0.0) ->
     value = np.clip(np.rint(evidence / unit), -base, top - base).astype(np.int64)
     hit, miss = (np.maximum(part, 0).astype(np.uint16) for part in (value, -value))
     hit.flags.writeable = miss.flags.writeable = False
-    return EvidenceTable(hit, miss, base, top - base, unit)
+    return ScoreTable(hit, miss, base, top - base, unit)
 
 
 @cache

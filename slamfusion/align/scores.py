@@ -237,9 +237,9 @@ def _scored(
     """Return the evidence for the walls of each map on the other's field, nats, of both maps."""
     sides, units = [], []
     for own, motions, other in ways:
-        table = other.evidence_table(step, sigma, FIELD_TOP, doubt)
+        table, field = other.field(step, sigma, FIELD_TOP, doubt)
         sample = own.wall_planes(step, points)
-        sides.append(ScoredSide(sample, motions, other.field(step, table), table.base))
+        sides.append(ScoredSide(sample, motions, field, table.base))
         units.append(table.unit * (len(own.level(step).points) / sample.count))
     parts = zip(score(*sides), sides, units, strict=True)
     ours, theirs = ((values - side.points.count * side.base) * unit for values, side, unit in parts)

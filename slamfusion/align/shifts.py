@@ -144,13 +144,13 @@ def score_shifts(
     cols = shift_range(ref.shape[1], reach, window.start[0] / step, window, step)
     height, width = rows[1] - rows[0], cols[1] - cols[0]
     lanes = -(-width // SHIFT_LANES) * SHIFT_LANES
-    ours = pair.reference.evidence_table(step, COARSE_SIGMA, COARSE_TOP)
-    theirs = pair.moving.evidence_table(step, COARSE_SIGMA, COARSE_TOP)
-    device, on_mov = pair.device, pair.moving.field(step, theirs)
+    device = pair.device
+    ours, on_ref = pair.reference.field(step, COARSE_SIGMA, COARSE_TOP)
+    theirs, on_mov = pair.moving.field(step, COARSE_SIGMA, COARSE_TOP)
     # Moving walls on the reference's field.
     ahead_shape = (height + 2 * reach + 1, lanes + 2 * reach + 1)
     corner = fixed_poses((cols[0] - reach, rows[0] - reach, 0.0))
-    ahead = device.warp(pair.reference.field(step, ours), corner, ahead_shape, ours.base)
+    ahead = device.warp(on_ref, corner, ahead_shape, ours.base)
     low, left = reach - rows[0], reach - cols[0]
     whole = np.array([(low, low + ref.shape[0], left, left + ref.shape[1])])
     # Reference walls on the moving field, turned; read with shifts running backwards.

@@ -64,10 +64,10 @@ def side_of(features: GridFeatures, sigma: float, top: int, doubt: float = 0.0) 
 
 def level_side(features: GridFeatures, step: int, sigma: float, top: int) -> Side:
     """What the device holds of a level: walls and field, which other tests judge."""
-    table = features.evidence_table(step, sigma, top)
+    table, field = features.field(step, sigma, top)
     fetch = features.device.download
     walls = fetch(features.level(step).wall) != 0
-    value = fetch(features.field(step, table)).astype(int) - table.base
+    value = fetch(field).astype(int) - table.base
     height, width = features.shape
     centre = width / 2.0 / step, height / 2.0 / step
     return Side(walls, value * table.unit, table.unit, value, centre)

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from slamfusion.align.features import GridFeatures
-from slamfusion.align.likelihood import EvidenceTable, evidence_table, score_table
+from slamfusion.align.likelihood import ScoreTable, evidence_table, score_table
 from slamfusion.compute import ComputeDevice
 from tests.align.definitions import likeness_of, side_of, surface_of
 from tests.fusion.drawings import draw, features_of, random_grid
@@ -20,7 +20,7 @@ SIGMA = st.floats(0.4, 12.0)
 TOP = st.sampled_from((15, 255))
 
 
-def value_of(table: EvidenceTable) -> np.ndarray:
+def value_of(table: ScoreTable) -> np.ndarray:
     """What a free cell or a wall adds to the base, by squared distance."""
     return table.hit.astype(int) - table.miss.astype(int)
 
@@ -44,8 +44,11 @@ def test_farther_from_a_wall_is_never_worth_more(chance: float, sigma: float, to
     assert np.all(np.diff(table.miss.astype(int)) >= 0)
 
 
-def field_of(features: GridFeatures, table: EvidenceTable) -> np.ndarray:
-    return features.device.download(features.field(1, table)).astype(int)
+def field_of(
+    features: GridFeatures, sigma: float, top: int = 255, doubt: float = 0.0
+) -> tuple[ScoreTable, np.ndarray]:
+    table, field = features.field(1, sigma, top, doubt)
+    return table, features.device.download(field).astype(int)
 
 
 @pytest.mark.parametrize("doubt", [0.0, 1.0])
@@ -56,10 +59,10 @@ def test_fields_equal_their_definition(
 ) -> None:
     features = features_of(random_grid(seed), device)
     for sigma in (0.75, 1.5, 4.0):
-        table = features.evidence_table(1, sigma, top, doubt=doubt)
+        table, field = field_of(features, sigma, top, doubt)
         wanted = side_of(features, sigma, top, doubt)
         assert table.unit == pytest.approx(wanted.unit)
-        assert np.array_equal(field_of(features, table) - table.base, wanted.value)
+        assert np.array_equal(field - table.base, wanted.value)
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -67,8 +70,8 @@ def test_the_unknown_never_speaks_against_and_far_from_walls_says_nothing(
     device: ComputeDevice, seed: int
 ) -> None:
     features = features_of(random_grid(seed), device)
-    table = features.evidence_table(1, 1.5, 255)
-    value = field_of(features, table) - table.base
+    table, field = field_of(features, 1.5)
+    value = field - table.base
     unknown = features.grid.cells == -1
     far = device.download(features.level(1).distance2) > (2.2 * 1.5) ** 2
     assert (unknown & far).sum() > 50
@@ -98,8 +101,7 @@ def test_a_wall_in_the_other_maps_unknown_costs_nothing_and_in_its_room_it_does(
 ) -> None:
     room = ["#" * 12, *["#" + "." * 10 + "#"] * 10, "#" * 12]
     features = features_of(draw("\n".join([*room, *[" " * 12] * 20, "#" * 12])), device)
-    table = features.evidence_table(1, 1.5, 255)
-    field = field_of(features, table)
+    table, field = field_of(features, 1.5)
     assert field[26, 5] < table.base, "in the middle of the room, six cells from its walls"
     assert field[10, 5] == table.base, "in the unknown between"
     assert field[21, 5] > table.base, "on the wall of the room"
