@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import csv
 import itertools
 import math
-from collections.abc import Iterable, Iterator
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -25,7 +22,7 @@ from slamfusion.io.map_server import load_map
 from tests.fusion.drawings import features_of, fusion_config, off_by
 from tests.support import halmstad
 from tests.support.datasets import MAPS, MapEntry, load_entry, map_entries
-from tests.support.overlap import Draft, drawn, half_pairs, load_source, mirrored, scaled
+from tests.support.overlap import are_different_places, drawn, half_pairs, load_source
 
 pytestmark = pytest.mark.datasets
 
@@ -65,27 +62,6 @@ def test_three_slams_of_one_home_come_together(device: ComputeDevice) -> None:
     assert_home(result, grids, dict.fromkeys(HOME, Pose2()))
 
 
-@pytest.mark.full  # strangers are rejected in every run, and one of these maps below
-def test_a_lost_slam_is_rejected_and_the_other_two_fused(device: ComputeDevice) -> None:
-    grids = load("mit-csail", "gmapping", "karto", "tinyslam-lost")
-    result = fuse_grids(grids, QUICK, device)
-    assert [record.name for record in result.accepted] == ["gmapping", "karto"]
-    (lost,) = result.rejected
-    assert lost.name == "tinyslam-lost"
-    assert lost.reason
-    assert result.phantom_cells == 0
-    assert len(result.weights) == 2
-    moving = next(record for record in result.accepted if record.name != result.reference)
-    with (MAPS / "multi-slam/mit-csail/transforms.csv").open(encoding="utf-8") as file:
-        rows = {(row["source"], row["destination"]): row for row in csv.DictReader(file)}
-    row = rows[moving.name, result.reference]
-    wanted = Pose2(float(row["dx_m"]), float(row["dy_m"]), float(row["yaw_rad"]))
-    assert moving.alignment is not None
-    shift, turn = off_by(moving.grid, moving.alignment.transform, wanted)
-    assert shift <= 6.0
-    assert turn <= 0.3
-
-
 def assert_triangles_close(grids: tuple[OccupancyGrid, ...], pairs: list[Alignment]) -> None:
     """Every triangle closes within 3 cells and 1 degree at the centre of its first map."""
     motions = {(p.moving, p.reference): p.transform for p in pairs}
@@ -116,15 +92,6 @@ def test_all_pairs_of_a_place_are_accepted_and_their_triangles_close(
     assert_triangles_close(grids, pairs)
 
 
-def different_places() -> Iterator[tuple[MapEntry, MapEntry]]:
-    """Pairs of maps of different places; worlds/stage may repeat places of rendered."""
-    for a, b in itertools.combinations(map_entries(), 2):
-        folders = {Path(entry.file).parts[0] for entry in (a, b)}
-        is_repeat = folders == {"worlds", "rendered"} and "stage" in a.file + b.file
-        if a.place != b.place and not is_repeat:
-            yield a, b
-
-
 class Prepared:
     """Features of recorded maps, each made once a resolution."""
 
@@ -150,7 +117,8 @@ def test_maps_of_different_places_are_never_accepted(
     device: ComputeDevice, request: pytest.FixtureRequest
 ) -> None:
     prepared = Prepared(device)
-    pairs = list(different_places())
+    entries = itertools.combinations(map_entries(), 2)
+    pairs = [pair for pair in entries if are_different_places(*pair)]
     # Of some two thousand pairs, evenly: maps against maps of every kind.
     wanted = 40 if request.config.getoption("--full") else 4
     chosen = pairs[11 :: len(pairs) // wanted]
@@ -183,36 +151,6 @@ def test_halmstad_pairs_are_right_as_people_marked_them(device: ComputeDevice) -
     assert accepted >= 8
 
 
-# Recorded maps, what their halves share, and the axis across which they are cut.
-SHARED_PARTS = (
-    ("carpin/LongRun6.txt.gz", 0.2, "x"),
-    pytest.param("giraff/Sarmis2_map_adj.yaml", 0.3, "y", marks=pytest.mark.full),
-    pytest.param("worlds/willow-full-0.1.pgm.gz", 0.2, "x", marks=pytest.mark.full),
-)
-
-
-def believed_wrongly(device: ComputeDevice, drafts: Iterable[Draft]) -> list[str]:
-    """Return the pairs that are accepted although they are not right."""
-    out = []
-    for case in drawn(drafts):
-        found = align_grids(case.reference, case.moving, QUICK, device)
-        if found.accepted and not case.is_right(found.transform):
-            out.append(f"{case.name}: {found.reason}")
-    return out
-
-
-@pytest.mark.once
-@pytest.mark.parametrize(("file", "overlap", "axis"), SHARED_PARTS)
-def test_halves_that_share_a_part_are_found_and_believed(
-    device: ComputeDevice, file: str, overlap: float, axis: str
-) -> None:
-    drafts = half_pairs(1, (overlap,), (file,))
-    for case in drawn(draft for draft in drafts if draft.reference.axis == axis):
-        found = align_grids(case.reference, case.moving, QUICK, device)
-        assert found.accepted, f"{case.name}: {found.reason}"
-        assert case.is_right(found.transform), case.name
-
-
 # What a few walls of two maps were believed for: 5 m at the edge of a room and of a floor, and the
 # corner of a depot on the map of a lost SLAM, in one direction alone.
 FEW_WALLS = (
@@ -231,13 +169,6 @@ def test_a_corner_that_two_maps_share_is_no_common_place(
     for reference, moving in ((a, b), (b, a)):
         found = align_pair(Pair(reference, moving), QUICK.align)
         assert not found.accepted, found.reason
-
-
-@pytest.mark.once
-def test_a_map_is_not_taken_for_its_image_or_at_another_scale(device: ComputeDevice) -> None:
-    files = ("giraff/Sarmis2_map_adj.yaml",)
-    drafts = (*mirrored(1, files)[:2], *scaled(1, 1.1, files)[:2])
-    assert believed_wrongly(device, drafts) == []
 
 
 def test_a_room_is_not_found_among_the_many_of_a_large_building(device: ComputeDevice) -> None:

@@ -68,55 +68,6 @@ def test_occupancy_estimator_on_a_log_alone(drive: LogFiles, tmp_path: Path) -> 
 
 
 @pytest.mark.full
-def test_cell_models_trajectories_on_logs(drive: LogFiles, tmp_path: Path) -> None:
-    log = f"{drive.log}:{drive.relations}"
-    done = run(
-        "experiment", "cell-models-trajectories", "-o", tmp_path,
-        "--log", log, "--log", f"{log}:{drive.log}", "--floors", "0", "--seeds", "2",
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    assert "tinyslam base" in done.stdout
-    assert "room#2, relations mean [m]: " in done.stdout
-    with (tmp_path / "cell-models-trajectories.csv").open(encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
-    assert list(dict.fromkeys(row["case"] for row in rows)) == ["room", "room#2"]
-    assert {row["seed"] for row in rows} == {"0", "1"}
-    assert "gmapping" in {row["method"] for row in rows}
-
-
-@pytest.mark.full
-def test_ground_obstacle_small(tmp_path: Path) -> None:
-    arguments = (
-        "experiment", "ground-obstacle", "-o", tmp_path,
-        "--repetitions", "2", "--worlds", "1", "--particles", "2", "--json",
-    )  # fmt: skip
-    done = run(*arguments)
-    assert done.returncode == 0, done.stderr
-    assert done.stderr == ""
-    document = json_of(done)
-    check_document(document, "experiment ground-obstacle")
-    methods = [*BUILT_IN, *FUSIONS]
-    errors = [item for item in document["summaries"] if item["figure"] == "error"]
-    assert [item["method"] for item in errors] == methods * 2
-    assert {item["count"] for item in errors} == {2}
-    assert {item["case"] for item in document["comparisons"]} == {"no obstacle", "obstacle"}
-    assert document["config"]["experiment"]["ground_obstacle"]["repetitions"] == 2
-    files = tree(tmp_path)
-    assert {f"ground-obstacle.{kind}" for kind in ("csv", "md", "png")} < set(files)
-    text = (tmp_path / "ground-obstacle.md").read_text(encoding="utf-8")
-    assert "p pooled t [F16]" in text
-    assert "faces F1 (0.1 m), mean" in text
-    for example in ("no-obstacle-w1-s0", "obstacle-w1-s0"):
-        assert len(kept_maps(tmp_path, example)[1]) == len(methods)
-    # All of it is there: nothing is driven again, and everything is the same.
-    again = json_of(run(*arguments, timeout=20.0))
-    assert again["summaries"] == document["summaries"]
-    unchanged = {name: data for name, data in files.items() if name.startswith("trials")}
-    assert len(unchanged) > 4
-    assert unchanged.items() <= tree(tmp_path).items()
-
-
-@pytest.mark.full
 def test_real_logs_skips_what_is_not_there(tmp_path: Path) -> None:
     made = room()
     folder = tmp_path / "datasets" / "mit-csail"

@@ -47,19 +47,19 @@ def machine(monkeypatch: pytest.MonkeyPatch) -> Machine:
     return has
 
 
-def test_first_gpu_before_cpu(machine: Machine):
-    machine(SIMULATED, fake("cpu", CPU), fake("gpu 1", GPU), fake("gpu 2", GPU))
-    assert choose_device().name == "gpu 1"
-
-
-def test_first_cpu_without_gpu(machine: Machine):
-    machine(SIMULATED, fake("cpu 1", CPU), fake("cpu 2", CPU))
-    assert choose_device().name == "cpu 1"
-
-
-def test_device_that_is_not_available_is_passed_over(machine: Machine):
-    machine(fake("gone", GPU, available=False), fake("cpu", CPU))
-    assert choose_device().name == "cpu"
+@pytest.mark.parametrize(
+    ("devices", "wanted"),
+    [
+        ((SIMULATED, fake("cpu", CPU), fake("gpu 1", GPU), fake("gpu 2", GPU)), "gpu 1"),
+        ((SIMULATED, fake("cpu 1", CPU), fake("cpu 2", CPU)), "cpu 1"),
+        ((fake("gone", GPU, available=False), fake("cpu", CPU)), "cpu"),
+    ],
+)
+def test_the_first_gpu_that_is_available_is_chosen_and_else_the_first_cpu(
+    machine: Machine, devices: tuple[object, ...], wanted: str
+):
+    machine(*devices)
+    assert choose_device().name == wanted
 
 
 def test_simulator_is_never_chosen_unasked(machine: Machine):
