@@ -14,7 +14,6 @@ from __future__ import annotations
 import argparse
 import hashlib
 import json
-import math
 import multiprocessing
 from collections import Counter, OrderedDict
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -283,17 +282,7 @@ def print_all(results: list[Result], console: Console) -> None:
 
 def line_of(result: Result) -> str:
     """Return a result as a line of JSON; what is not finite becomes null."""
-    return json.dumps(_finite(asdict(result)), allow_nan=False)
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _finite(item) for key, item in value.items()}
-    if isinstance(value, (float, np.floating)):
-        return float(value) if math.isfinite(value) else None
-    if isinstance(value, (np.bool_, np.integer)):
-        return value.item()
-    return value
+    return json.dumps(plain(asdict(result)), allow_nan=False)
 
 
 def main() -> None:

@@ -35,7 +35,6 @@ def run(
     env: Mapping[str, str] | None = None,
     limits: Mapping[int, int] | None = None,
     timeout: float = 180.0,
-    is_anew: bool = False,
 ) -> subprocess.CompletedProcess[str]:
     """Start ``slamfusion`` with arguments and return what it printed, but for lines of progress.
 
@@ -49,11 +48,10 @@ def run(
         env: added to the environment.
         limits: resource limits by number, e.g. ``resource.RLIMIT_AS``.
         timeout: seconds after which the test fails.
-        is_anew: load Python and everything, as at a user's.
     """
     words = [str(INSTALLED), *map(str, arguments)]
     whole = {**os.environ, **(env or {})}
-    if not is_anew and not limits and server().can_start(whole):
+    if not limits and server().can_start(whole):
         return _without_progress(run_forked(words, cwd, whole, timeout))
 
     def set_limits() -> None:

@@ -138,28 +138,6 @@ def test_options_override_the_config_file(tmp_path: Path) -> None:
     assert effective["fusion"]["align"]["coarse_cells"] == 50
 
 
-def test_evaluate_measures_pictures_and_distances(tmp_path: Path) -> None:
-    distances = tmp_path / "distances.csv"
-    distances.write_text(
-        "name,x1,y1,x2,y2,distance_m\nheight,-2.0,-4.875,-2.0,3.575,8.45\n", encoding="utf-8"
-    )
-    image, report = tmp_path / "difference.png", tmp_path / "report"
-    done = run_here(
-        "evaluate",
-        TRUTH,
-        *("--truth", TRUTH, "--no-align", "--distances", distances),
-        *("--image", image, "--report", report, "--json"),
-    )
-    assert done.returncode == 0, done.stderr
-    document = json_of(done)
-    assert document["maps"][0]["name"] == "truth"
-    assert document["maps"][0]["error"] == 0
-    assert document["maps"][0]["wall_f1"] == 1
-    assert document["distances"][0]["rows"][0]["error_m"] == pytest.approx(0, abs=0.06)
-    assert image.read_bytes().startswith(b"\x89PNG")
-    assert list(report.glob("*.html"))
-
-
 def test_devices_lists_each_with_its_index() -> None:
     devices = json_of(run("devices", "--json"))["devices"]
     assert [device["index"] for device in devices] == list(range(len(devices)))

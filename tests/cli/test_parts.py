@@ -76,6 +76,7 @@ def test_the_list_of_commands_says_what_their_help_says() -> None:
         ("fuse a.yaml b.yaml -o out --mode consenus", "'--mode': 'consenus' is not one of "),
         ("fuse a.yaml b.yaml -o out --mode consenus", "did you mean 'consensus'?"),
         ("node fussion", "did you mean 'fusion'?"),
+        ("node tinyslam rate:=2", "a node's options stand after --ros-args"),
         ("fuse a.yaml b.yaml", "missing option '-o' / '--output'; see slamfusion fuse --help"),
         ("run --truth", "option '--truth' requires an argument; see slamfusion run --help"),
         ("run a.log --bogus", "did you mean '--verbose'?; see slamfusion run --help"),

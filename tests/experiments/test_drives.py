@@ -8,12 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from slamfusion.compute import NumpyDevice
 from slamfusion.config import RunConfig, TrajectoryConfig
 from slamfusion.errors import LogError
 from slamfusion.evaluation.measured import GroundTruth
 from slamfusion.evaluation.relations import read_relations, relation_errors
-from slamfusion.experiments.tinyslam import ATE, RELATIONS, read_drive, simulated_office
+from slamfusion.experiments.tinyslam import ATE, RELATIONS, read_drive
 from slamfusion.io import read_trajectory, write_carmen, write_tum
 from slamfusion.jobs.inputs import LogFiles
 from slamfusion.trajectory import Trajectory
@@ -87,18 +86,6 @@ def test_a_drive_is_read_from_its_files(tmp_path: Path) -> None:
 def test_a_drive_that_nothing_measures_is_refused(tmp_path: Path) -> None:
     with pytest.raises(LogError, match="nothing to measure it by"):
         read_drive(LogFiles(tmp_path / "a.log"), RunConfig())
-
-
-@pytest.mark.full
-def test_an_office_is_the_same_for_one_seed_and_another_for_the_next() -> None:
-    first, again, other = (simulated_office(seed, NumpyDevice()) for seed in (1, 1, 2))
-    assert first.name == "office-1"
-    assert first.ground_truth.truth is not None
-    assert again.ground_truth.truth is not None
-    assert other.ground_truth.truth is not None
-    np.testing.assert_array_equal(first.ground_truth.truth.poses, again.ground_truth.truth.poses)
-    assert len(first.ground_truth.truth) != len(other.ground_truth.truth)
-    assert len(first.scans) == len(first.ground_truth.truth)
 
 
 @pytest.mark.datasets

@@ -9,12 +9,10 @@ from unittest import mock
 
 import pytest
 
-from tests.golden import corpus
 from tests.golden.corpus import (
     ENVIRONMENT,
     EXPECTED,
     RECORDED,
-    Entry,
     difference,
     load_entries,
     run_entries,
@@ -60,24 +58,3 @@ def _recorded(key: str) -> str:
 def test_every_entry_is_recorded_and_fast_ones_need_no_others() -> None:
     assert {path.stem for path in EXPECTED.glob("*.txt")} == ENTRIES.keys()
     assert not any(ENTRIES[name].is_shared or ENTRIES[name].needs - {*FAST} for name in FAST)
-
-
-@pytest.mark.parametrize(
-    ("text", "same", "other"),
-    [
-        ("a 1.50 sha256 ab", True, True),
-        ("a 1.51 sha256 cd", False, True),
-        ("a 1.90 sha256 ab", False, False),
-        ("b 1.50 sha256 ab", False, False),
-        ("a 1.50 1.50 sha256 ab", False, False),
-    ],
-)
-def test_numbers_may_differ_on_another_machine_alone(
-    text: str, same: bool, other: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(corpus, "EXPECTED", tmp_path)
-    (tmp_path / "one.txt").write_text("a 1.50 sha256 ab\n", encoding="utf-8")
-    monkeypatch.setattr(corpus, "is_same_machine", lambda: False)
-    entry = Entry("one", is_fast=True)
-    assert (not difference(entry, f"{text}\n", to_the_digit=True)) == same
-    assert (not difference(entry, f"{text}\n", to_the_digit=False)) == other

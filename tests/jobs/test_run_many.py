@@ -12,11 +12,9 @@ import pytest
 
 from slamfusion.cli.program import run_program
 from slamfusion.evidence.recommendation import Recommendation
-from slamfusion.io import write_carmen
 from slamfusion.jobs import run_many
 from slamfusion.jobs.inputs import RUN_DEFAULTS
 from slamfusion.jobs.run_many import RunOfLog, log_tasks, run_logs
-from tests.slam.drives import drive
 from tests.support.documents import check_document
 
 pytestmark = pytest.mark.once
@@ -49,33 +47,6 @@ def test_logs_that_fail_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[s
     printed = capsys.readouterr()
     assert "bad.log\t-\t-\t-\t-\tNO FUSED MAP: " in printed.out
     assert not (tmp_path / "out").exists()
-
-
-@pytest.mark.full
-def test_a_log_that_fails_is_told_and_the_others_go_on(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    scans, _ = drive(64)
-    write_carmen(tmp_path / "good.log", scans)
-    (tmp_path / "bad.log").write_text("hello\n")
-    logs = [str(tmp_path / name) for name in ("bad.log", "good.log")]
-    code = run_program(
-        ["run", *logs, "-o", str(tmp_path / "out"), "--producers", "tinyslam,graph", "--json"]
-    )
-    printed = capsys.readouterr()
-    assert code == 1
-    assert "1 of 2 logs have no fused map (bad.log: " in printed.err
-    document: dict[str, Any] = json.loads(printed.out)
-    check_document(document, "run", failed=True)
-    bad, good = document["runs"]
-    assert (bad["folder"], bad["fused"], bad["fused_count"]) == (None, None, 0)
-    assert "there is no laser in it" in bad["error"]
-    assert (good["error"], good["fused_count"]) == (None, 2)
-    assert good["recommendation"]["use"] in {"tinyslam", "graph", "fused"}
-    record = json.loads(Path(good["record"]).read_text(encoding="utf-8"))
-    assert record["fused"] == good["fused"] == str(tmp_path / "out" / "good" / "fused.yaml")
-    assert Path(good["report"], "report.html").is_file()
-    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["good"]
 
 
 @pytest.mark.parametrize("option", ["--truth", "--relations", "--odometry"])

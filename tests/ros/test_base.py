@@ -29,7 +29,6 @@ from slamfusion.ros.base import (
     run_node,
 )
 from slamfusion.ros.messages import to_stamp
-from tests.cli.command import run
 from tests.ros.live import Observer, values
 
 pytestmark = pytest.mark.ros
@@ -214,20 +213,6 @@ def test_a_bad_name_of_a_topic_is_one_line(words: tuple[str, ...], said: str):
         run_node(Misnamed, ["--ros-args", *words])
     assert str(raised.value).startswith(said)
     assert "\n" not in str(raised.value)
-
-
-def test_the_command_names_every_node_and_refuses_others():
-    shown = run("node", "--help")
-    assert shown.returncode == 0
-    for name in ("tinyslam", "gmapping", "graph", "fusion", "player"):
-        assert name in shown.stdout
-    assert "did you mean 'graph'?" in run("node", "grph").stderr
-    one = run("node", "graph", "--help")
-    for text in ("graph/map ", "nav_msgs/OccupancyGrid", "graph.resolution", "[default: 0.05 m]"):
-        assert text in one.stdout
-    wrong = run("node", "tinyslam", "rate:=2")
-    assert wrong.returncode == 2
-    assert "a node's options stand after --ros-args" in wrong.stderr
 
 
 # -- what nodes that were started together say -----------------------------------------------------

@@ -39,16 +39,6 @@ class Halves:
     high_start: int
     high: int
 
-    @property
-    def length(self) -> int:
-        """Cells of each half along the axis."""
-        return self.low_end - self.low
-
-    @property
-    def overlap(self) -> float:
-        """The strip's share of each half; negative where a gap lies between them."""
-        return (self.low_end - self.high_start) / self.length
-
     def range_of(self, side: Side) -> tuple[int, int]:
         """Return begin and end of one half."""
         return (self.low, self.low_end) if side == "low" else (self.high_start, self.high)

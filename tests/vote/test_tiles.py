@@ -10,15 +10,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from slamfusion.compute import ComputeDevice, NumpyDevice, open_device
-from slamfusion.compute.layout import VOTE_ONE
 from slamfusion.compute.votes import Votes
-from slamfusion.config import FusionMode, VoteConfig
+from slamfusion.config import VoteConfig
 from slamfusion.errors import ConfigError, GridError
 from slamfusion.grid import CellBox
-from slamfusion.vote.tiles import TileVoter, check_votes, sum_counts, tiles_of
-from slamfusion.vote.walls import wall_codes
+from slamfusion.vote.tiles import TileVoter, check_votes, tiles_of
 from tests.support.examples import examples
-from tests.vote.rooms import bent, room, shown_by
 
 U, F, O = -1, 0, 1
 
@@ -153,29 +150,6 @@ def test_what_cannot_vote_is_refused(device: ComputeDevice) -> None:
 # --- the kernels are their twins -------------------------------------------------------------
 
 
-@pytest.mark.parametrize("shape", [(1, 1), (1, 67), (67, 1), (31, 33), (5, 4099)])
-@pytest.mark.parametrize("count", [1, 2, 3, 4, 9, 32])
-def test_kernels_equal_their_twins(shape: tuple[int, int], count: int) -> None:
-    rng = np.random.default_rng(count)
-    grids = [rng.integers(-1, 2, shape).astype(np.int8) for _ in range(count)]
-    for unknown in ("value", "abstain"):
-        kernel = majority(grids, open_shared(), unknown)
-        assert same(kernel, majority(grids, NumpyDevice(), unknown))
-    codes = [wall_codes(grid, 0.1) for grid in grids]
-    shift, phase = 3, (5, 2)
-    blocks = tuple((shape[n] + phase[n] - 1 >> shift) + 1 for n in (0, 1))
-    weights = rng.choice([0, 17, 119, VOTE_ONE], (count, *blocks)).astype(np.uint8)
-    ranks = rng.permuted(
-        np.broadcast_to(np.arange(count)[:, None, None], (count, *blocks)), axis=0
-    ).astype(np.uint16)
-    trusted = rng.choice([0, 120, VOTE_ONE], count).astype(np.uint8)
-    one, other = (
-        computes.vote_walls(codes, weights, ranks, trusted, reach=4, shift=shift, phase=phase)
-        for computes in (open_shared(), NumpyDevice())
-    )
-    assert same(one, other)
-
-
 # --- tiles -----------------------------------------------------------------------------------
 
 
@@ -195,50 +169,3 @@ def test_tiles_are_the_whole_once_cut_at_multiples_of_their_side(
         for cell, start in zip((tile.row0, tile.col0), corner, strict=True):
             assert cell == start or cell % side == 0
     assert (times == 1).all()
-
-
-@settings(max_examples=examples(25), deadline=None)
-@given(
-    seeds=st.lists(st.integers(0, 99), min_size=2, max_size=4),
-    mode=st.sampled_from(("consensus", "majority")),
-    side=st.integers(11, 60),
-    first=st.tuples(st.integers(0, 40), st.integers(0, 40)),
-)
-def test_tiles_decide_what_the_whole_decides(
-    seeds: list[int], mode: FusionMode, side: int, first: tuple[int, int]
-) -> None:
-    maps = {f"map {n}": room(seed=seed) for n, seed in enumerate(seeds)}
-    maps["bent"] = bent(room())
-    whole = CellBox(0, 0, *room().shape)
-    voter = TileVoter(whole, VoteConfig(mode), 0.1, tuple(maps), first)
-    tiles = list(tiles_of(voter.whole, side))
-    assert len(tiles) > 1
-    if voter.weighs:
-        at_once = voter.trusting(voter.count(whole, shown_by(voter, whole, maps)))
-        voter = voter.trusting(sum_counts(voter.count(t, shown_by(voter, t, maps)) for t in tiles))
-        assert voter.trust is not None
-        assert voter.trust.decides_like(at_once.trust)
-    wanted = voter.decide(whole, shown_by(voter, whole, maps), NumpyDevice())
-    assert wanted is not None
-    phantom_cells = 0
-    for tile in tiles:
-        found = voter.decide(tile, shown_by(voter, tile, maps), NumpyDevice())
-        assert found is not None
-        window = tile.slices()
-        assert np.array_equal(found.fused, wanted.fused[window])
-        assert np.array_equal(found.agreement, wanted.agreement[window])
-        out, wanted_out = dict(found.outvoted()), dict(wanted.outvoted())
-        for name in maps:
-            assert np.array_equal(out[name], wanted_out[name][window])
-        phantom_cells += found.phantom_cells
-    assert phantom_cells == wanted.phantom_cells
-
-
-def open_shared() -> ComputeDevice:
-    """The OpenCL device, opened once."""
-    if not _SHARED:
-        _SHARED.append(open_device())
-    return _SHARED[0]
-
-
-_SHARED: list[ComputeDevice] = []

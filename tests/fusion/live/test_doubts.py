@@ -21,7 +21,6 @@ from tests.fusion.live.maps import (
     live_fusion,
     mirrored,
     moved_frame,
-    noise,
     share_standing,
     started,
     three,
@@ -178,33 +177,6 @@ def test_an_origin_that_jumps_by_10_km_takes_no_memory_and_is_followed(
 
 
 # -- maps that say nothing -------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("bad", "words"),
-    [
-        (noise(), "noise"),
-        (replace(noise(), cells=np.full((300, 300), 100, dtype=np.int8)), "all occupied"),
-        (
-            replace(noise(), cells=(np.indices((300, 300)).sum(0) % 2 * 100).astype(np.int8)),
-            "noise",
-        ),
-    ],
-)
-def test_a_map_that_says_nothing_is_refused_before_it_is_looked_at(
-    device: ComputeDevice, bad: OccupancyGrid, words: str
-) -> None:
-    drive = started(device)
-    for number in range(2):
-        update = drive.step(bad.with_name("b"), touched(three()["a"], number))
-        assert update.fused is not None
-        assert words in drive.input("b").reason
-        assert drive.accepted() == "ac"
-        assert not update.is_full_search
-    drive = Drive(live_fusion(device))
-    drive.step(three()["a"], bad.with_name("b"), three()["c"])
-    assert drive.accepted() == "ac"
-    assert words in drive.input("b").reason
 
 
 # -- mirrored --------------------------------------------------------------------------------------

@@ -23,6 +23,7 @@ from tests.fusion.live.maps import (
     littered,
     live_fusion,
     moved_frame,
+    noise,
     on_lattice,
     share_standing,
     shifted,
@@ -158,13 +159,14 @@ def test_an_input_that_is_lost_and_returns_leaves_every_wall_where_it_was(
 
 
 @pytest.mark.parametrize(
-    ("bad", "words"),
+    ("name", "bad", "words"),
     [
-        (OccupancyGrid(np.full((60, 70), -1, dtype=np.int8), 0.1), "unknown"),
-        (OccupancyGrid(np.zeros((60, 70), dtype=np.int8), 0.1), "too few walls"),
+        ("a", OccupancyGrid(np.full((60, 70), -1, dtype=np.int8), 0.1), "unknown"),
+        ("b", OccupancyGrid(np.zeros((60, 70), dtype=np.int8), 0.1), "too few walls"),
+        ("a", noise(), "noise"),
+        ("b", OccupancyGrid(np.full((300, 300), 100, dtype=np.int8), 0.1), "all occupied"),
     ],
 )
-@pytest.mark.parametrize("name", ["a", "b"])
 def test_a_map_that_says_too_little_is_named_and_the_others_go_on(
     device: ComputeDevice, bad: OccupancyGrid, words: str, name: str
 ) -> None:
