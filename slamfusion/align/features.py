@@ -397,8 +397,8 @@ def facings(cells: npt.NDArray[np.int8], resolution: float) -> npt.NDArray[np.ui
     much, angle = (np.asarray(part, dtype=np.float32) for part in cv2.cartToPolar(x, y))
     parts = (angle * np.float32(FACING_PARTS / (2.0 * np.pi)) + np.float32(0.5)).astype(np.uint8)
     way = parts & np.uint8(FACING_PARTS - 1) | np.uint8(FACES)
-    faces = np.where(much >= CLEARER, way, np.uint8(0))
-    out = cv2.resize(faces, None, fx=side, fy=side, interpolation=cv2.INTER_NEAREST)
+    faces = way * (much >= CLEARER)
+    out = np.repeat(np.repeat(faces, side, axis=1), side, axis=0)
     return np.ascontiguousarray(out[:height, :width])
 
 
