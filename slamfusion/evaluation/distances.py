@@ -168,6 +168,7 @@ def load_distances(path: str | Path) -> tuple[MeasuredDistance, ...]:
 
     Raises:
         MapFileError: another file; the message names the row and what was wanted.
+        OSError: the file cannot be opened.
     """
     path = Path(path)
     readers = {".csv": _read_csv, ".yaml": _read_yaml, ".yml": _read_yaml}
@@ -175,11 +176,7 @@ def load_distances(path: str | Path) -> tuple[MeasuredDistance, ...]:
     if reader is None:
         message = f"{path}: measured distances come as .csv, .yaml or .yml; rename the file"
         raise MapFileError(message)
-    try:
-        rows = reader(path)
-    except OSError as error:
-        message = f"{path}: cannot read the distances ({error.strerror}); check the path"
-        raise MapFileError(message) from None
+    rows = reader(path)
     if not rows:
         raise MapFileError(f"{path}: no distance in the file; add rows of {', '.join(_COLUMNS)}")
     return tuple(_distance(row, f"{path}: {where}", where) for where, row in rows)

@@ -24,7 +24,7 @@ from slamfusion.io import AtomicFiles, write_atomic
 from slamfusion.jobs import inputs
 from slamfusion.jobs.cases import CaseFile, Placed, case_names, place_files
 from slamfusion.jobs.fuse_documents import Evaluation, FusedInput
-from slamfusion.jobs.plan import align_plan_with_all
+from slamfusion.jobs.plan import AlignedPlan, align_plan
 from slamfusion.jobs.records import Settings, Summaries
 from slamfusion.json_values import FLAT
 
@@ -129,25 +129,29 @@ def evaluate_maps(
     true_grid = inputs.load_truth(truth, config, resolution=resolution, scale=scale)
     device = inputs.device_for(config, device)
     search = replace(config.fusion, align=replace(config.fusion.align, step=None))
-    plans = None
-    if scale is not None:
+    plans: list[AlignedPlan] = []
+    if scale is not None:  # of one place, so all at the scale of the last map that the plan fits
         searched = replace(config, fusion=search)
-        plans = align_plan_with_all(grids, true_grid, searched, device, scale)
-    is_searched = align and plans is None
+        for grid in reversed(grids):
+            plan = align_plan(grid, true_grid, searched, device, scale=scale)
+            if plan.alignment.accepted:
+                scale = plan.plan.resolution, plan.plan.resolution
+            plans.insert(0, plan)
+    is_searched = align and not plans
     found = align_each(true_grid, grids if is_searched else (), search, device)
     evaluations = []
     for done, grid in enumerate(grids):
         if progress is not None:
             progress("evaluate", done, len(grids))
         alignment, truth = next(found, None), true_grid
-        if plans is not None:
+        if plans:
             alignment, truth = plans[done].of_map, plans[done].plan
         error = compare_to_truth(
             grid,
             truth,
             Pose2() if alignment is None else alignment.transform,
             config,
-            is_plan=plans is not None,
+            is_plan=bool(plans),
         )
         aligned = alignment is None or alignment.accepted
         evaluations.append(Evaluation(**vars(error), aligned=aligned, alignment=alignment))
@@ -194,7 +198,7 @@ def measure_distances(
         distances: CSV or YAML, or its rows; see ``load_distances``.
 
     Raises:
-        MapFileError: a map or the file of distances cannot be read.
+        MapFileError, OSError: a map or the file of distances cannot be read.
     """
     config = config or RunConfig()
     rows = load_distances(distances) if isinstance(distances, (str, Path)) else distances

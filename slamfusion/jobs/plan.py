@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -101,23 +100,6 @@ def align_plan(
     )
     sized = replace(plan, resolution=plan.resolution * factor)
     return AlignedPlan(reference, sized, factor, alignment)
-
-
-def align_plan_with_all(
-    references: Sequence[OccupancyGrid],
-    plan: OccupancyGrid,
-    config: RunConfig,
-    device: ComputeDevice,
-    scale: PixelSizes,
-) -> list[AlignedPlan]:
-    """Align a floor plan with maps of one place, all at the scale of the last one that it fits."""
-    found = []
-    for reference in reversed(references):
-        one = align_plan(reference, plan, config, device, scale=scale)
-        if one.alignment.accepted:
-            scale = one.plan.resolution, one.plan.resolution
-        found.append(one)
-    return found[::-1]
 
 
 def world_file(plan: OccupancyGrid, transform: Pose2) -> str:

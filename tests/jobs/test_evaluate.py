@@ -96,7 +96,7 @@ def test_measured_distances_are_compared(tmp_path: Path) -> None:
     ((case, _, method, figure, value, *_),) = cases.distance_rows()
     assert (case, method, figure) == ("measured distances", "corridor", "distance_error_mean_m")
     assert (value, cases.rows()) == (pytest.approx(0.1), [])
-    with pytest.raises(MapFileError, match="absent"):
+    with pytest.raises(FileNotFoundError, match="absent"):
         measure_distances([corridor], tmp_path / "absent.csv")
 
 
