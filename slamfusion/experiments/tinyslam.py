@@ -27,10 +27,9 @@ from slamfusion.jobs.inputs import LogFiles, Progress
 from slamfusion.sim import named_course, simulate
 from slamfusion.slam.common.mapper import Mapper
 from slamfusion.slam.common.runner import run_producer
-from slamfusion.slam.gmapping import Gmapping
+from slamfusion.slam.gmapping.slam import Gmapping
 from slamfusion.slam.registry import settings_of
-from slamfusion.slam.tinyslam import TinySlam
-from slamfusion.slam.tinyslam.slam import cell_value
+from slamfusion.slam.tinyslam.slam import TinySlam, cell_value
 from slamfusion.trajectory import Trajectory
 
 RELATIONS, ATE, TIME = FIGURES = ("relations_mean_m", "ate_rmse_m", "time_per_scan_ms")

@@ -21,7 +21,7 @@ from slamfusion.errors import SlamFusionError
 from slamfusion.geometry import F64, Pose2
 from slamfusion.grid import IDENTITY, OccupancyGrid
 from slamfusion.scan import LaserScan
-from slamfusion.slam.common.mapper import DrawsAside, Health, MapDrawer, MapJob, Mapper
+from slamfusion.slam.common.mapper import DrawsAside, Health, MapJob, Mapper
 from slamfusion.slam.common.odometry_check import contradictions
 from slamfusion.slam.registry import make_producer
 from slamfusion.trajectory import Trajectory
@@ -177,17 +177,21 @@ class ProducerSession:
         self._wants_odometry = wants_odometry
         self._deskewer = Deskewer(config.log)
         self._clock = clock
-        self._producer = self._make()
-        self._drawing: ComputeDevice | None = None
-        if isinstance(self._producer, DrawsAside):
-            self._drawing = open_drawing()
+        self._producer, trial = self._make(), self._make()
+        self._new_drawer: Callable[[], Callable[[MapJob], OccupancyGrid]] | None = None
+        if isinstance(trial, DrawsAside):
+            drawing = open_drawing()
+            self._new_drawer = lambda: trial.map_drawer(drawing)
             self.drawn = Drawn(time_s=0.0)
         self._producer_generation = 0
         self._job: MapJob | None = None
-        self._drawer: tuple[int, MapDrawer] | None = None
+        # What draws the maps of a generation.
+        self._drawer: tuple[int, Callable[[MapJob], OccupancyGrid]] | None = None
         # Rows of the last scans: stamp, then x, y and yaw of the pose and of the odometry.
         self._moved: deque[tuple[float, ...]] = deque(maxlen=MOTIONS)
-        _warm_up(self._make(), self._drawing)
+        _warm_up(trial)
+        if isinstance(trial, DrawsAside) and self._new_drawer is not None:
+            self._new_drawer()(trial.map_job())
 
     def begin_new_map(self) -> None:
         """Start a new map: scans queued from now on belong to it."""
@@ -326,11 +330,9 @@ class ProducerSession:
         if isinstance(grid, MapJob):
             begun_s = self._clock()
             if self._drawer is None or self._drawer[0] != item.generation:
-                producer = self._producer  # of any generation: the settings are the same
-                assert isinstance(producer, DrawsAside)  # noqa: S101  (else there is no job)
-                assert self._drawing is not None  # noqa: S101  (opened for one that draws aside)
-                self._drawer = item.generation, producer.map_drawer(self._drawing)
-            grid = self._drawer[1].draw(grid)
+                assert self._new_drawer is not None  # noqa: S101  (else there is no job)
+                self._drawer = item.generation, self._new_drawer()
+            grid = self._drawer[1](grid)
             time_s = self._clock() - begun_s
         self.drawn = Drawn(self.drawn.maps, (grid.width, grid.height), time_s)
         return grid
@@ -340,14 +342,12 @@ class ProducerSession:
         self.drawn = replace(self.drawn, maps=self.drawn.maps + 1)
 
 
-def _warm_up(trial: Mapper, drawing: ComputeDevice | None) -> None:
+def _warm_up(trial: Mapper) -> None:
     """Let a producer compile and run its kernels, on scans of a square room of 6 m."""
     angles = np.linspace(-np.pi, np.pi, WARM_UP_BEAMS, endpoint=False)
     ranges = (3.0 / np.maximum(np.abs(np.cos(angles)), np.abs(np.sin(angles)))).astype(np.float32)
     for index in range(3):
         scan = LaserScan(0.1 * index, ranges, -np.pi, 2.0 * np.pi / WARM_UP_BEAMS, 0.1, 20.0)
         trial.feed(scan, Pose2(0.3 * index, 0.0, 0.0))
-    if isinstance(trial, DrawsAside) and drawing is not None:
-        trial.map_drawer(drawing).draw(trial.map_job())
-    else:
+    if not isinstance(trial, DrawsAside):
         trial.grid()

@@ -6,6 +6,8 @@ A producer that fails, dies or takes too long is named with its reason; the othe
 from __future__ import annotations
 
 import contextlib
+import gc
+import math
 import multiprocessing
 import os
 import signal
@@ -118,11 +120,13 @@ class SideBySide:
     def wait(self, progress: Progress | None = None) -> tuple[Outcome, ...]:
         """Return the outcome of each producer, in the order given, when the last one has ended."""
         while self._jobs:
-            ready = connection.wait([job.answers for job in self._jobs], self._patience_s())
+            first = min(job.begun_s for job in self._jobs)
+            left_s = None if self._limit_s is None else max(0.0, self._left_s(first))
+            ready = connection.wait([job.answers for job in self._jobs], left_s)
             for job in list(self._jobs):
                 if job.answers in ready:
                     self._listen(job, progress)
-                elif self._is_late(job):
+                elif self._left_s(job.begun_s) <= 0.0:
                     reason = f"ran past its time limit of {self._limit_s:g} s and was stopped"
                     self._conclude(job, Outcome(job.name, None, reason))
             self._start()
@@ -156,16 +160,11 @@ class SideBySide:
         self._outcomes[job.name] = replace(said, run=run, time_s=time_s)
         _stop(job)  # one that has answered has nothing left to do
 
-    def _patience_s(self) -> float | None:
-        """Return the time until the first process reaches its limit; None without a limit."""
-        if self._limit_s is None:
-            return None
-        first = min(job.begun_s for job in self._jobs)
-        return max(0.0, first + self._limit_s - time.perf_counter())
-
-    def _is_late(self, job: _Job) -> bool:
-        lasted_s = time.perf_counter() - job.begun_s
-        return self._limit_s is not None and lasted_s >= self._limit_s
+    def _left_s(self, begun_s: float) -> float:
+        """Return the time until a process reaches its limit."""
+        return (
+            math.inf if self._limit_s is None else begun_s + self._limit_s
+        ) - time.perf_counter()
 
 
 def _sealed(run: ProducerRun) -> ProducerRun:
@@ -228,6 +227,7 @@ def _how_it_died(exit_code: int | None) -> str:
 
 
 def _work(name: str, source: ScanLog, config: RunConfig, answers: Connection) -> None:
+    gc.set_threshold(100_000)  # as ``slamfusion.cli.main`` does
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the caller handles the interrupt
     os.dup2(2, 1)  # standard output belongs to the caller; drivers may print
     try:
@@ -254,16 +254,12 @@ def _answer(name: str, source: ScanLog, config: RunConfig, answers: Connection) 
     except BrokenPipeError:
         raise
     except (SlamFusionError, OSError) as error:
-        return Outcome(name, None, _one_line(error), cpu_s=time.process_time())
+        reason, detail = str(error), ""
     except MemoryError:
-        reason = "out of memory; use a coarser cell or fewer processes"
-        return Outcome(name, None, reason, cpu_s=time.process_time())
+        reason, detail = "out of memory; use a coarser cell or fewer processes", ""
     except Exception as error:  # noqa: BLE001 - a bug in one producer must not stop the others
-        reason = f"a bug: {type(error).__name__}: {error}"
-        detail = traceback.format_exc()
-        return Outcome(name, None, _one_line(reason), cpu_s=time.process_time(), detail=detail)
-    return Outcome(name, run, cpu_s=time.process_time(), device=device.name)
-
-
-def _one_line(error: Exception | str) -> str:
-    return " ".join(str(error).split())
+        reason, detail = f"a bug: {type(error).__name__}: {error}", traceback.format_exc()
+    else:
+        return Outcome(name, run, cpu_s=time.process_time(), device=device.name)
+    reason = " ".join(reason.split())
+    return Outcome(name, None, reason, cpu_s=time.process_time(), detail=detail)

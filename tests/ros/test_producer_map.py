@@ -82,7 +82,9 @@ def test_scans_go_on_while_a_slow_map_is_drawn(
     rclpy.init(context=context, domain_id=domain)
     arguments = ["--ros-args", "-p", "map_update_interval_s:=0.05"]
     node = producer_node.ProducerNode("graph", context=context, arguments=arguments)
-    monkeypatch.setattr(GraphSlam, "map_drawer", lambda _, device: HeldMap(GraphConfig(), device))
+    monkeypatch.setattr(
+        GraphSlam, "map_drawer", lambda _, device: HeldMap(GraphConfig(), device).draw
+    )
     executor = SingleThreadedExecutor(context=context)
     executor.add_node(node.node)
     poses = observer.collect(PoseStamped, "graph/pose")

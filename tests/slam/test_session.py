@@ -16,7 +16,7 @@ from slamfusion.io.log import LogScan
 from slamfusion.scan import LaserScan
 from slamfusion.slam.registry import make_producer
 from slamfusion.slam.session import LeftOutError, ProducerSession, QueuedScan
-from slamfusion.slam.tinyslam import TinySlam
+from slamfusion.slam.tinyslam.slam import TinySlam
 from tests.slam.drives import drive
 
 pytestmark = pytest.mark.once

@@ -51,7 +51,7 @@ from slamfusion.jobs.info import InfoDocument
 from slamfusion.jobs.records import FailureDocument
 from slamfusion.json_values import POSE_KEYS, printed_names
 from slamfusion.slam.common.mapper import Health
-from slamfusion.slam.gmapping import FilterHealth
+from slamfusion.slam.gmapping.slam import FilterHealth
 from slamfusion.slam.graph import GraphHealth
 
 PATH = Path(__file__).resolve().parents[2] / "slamfusion" / "jobs" / "schema.json"

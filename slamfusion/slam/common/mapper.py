@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol, runtime_checkable
 
@@ -144,13 +144,6 @@ class MapJob:
     name: str
 
 
-class MapDrawer(Protocol):
-    """Draws the maps of one mapper, one after another, on a device and in a thread of its own."""
-
-    def draw(self, job: MapJob) -> OccupancyGrid:
-        """Return the map."""
-
-
 @runtime_checkable
 class DrawsAside(Mapper, Protocol):
     """A mapper whose map is drawn in another thread, while scans go on."""
@@ -164,5 +157,8 @@ class DrawsAside(Mapper, Protocol):
     def trajectory(self, job: MapJob | None = None) -> Trajectory:
         """Return the path of all scans; that of a map's nodes takes no time."""
 
-    def map_drawer(self, device: ComputeDevice) -> MapDrawer:
-        """Return what draws its maps on another device; it shares nothing with the mapper."""
+    def map_drawer(self, device: ComputeDevice) -> Callable[[MapJob], OccupancyGrid]:
+        """Return what draws its maps, one after another, on another device and in another thread.
+
+        It shares nothing with the mapper.
+        """

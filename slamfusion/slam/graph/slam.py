@@ -13,6 +13,7 @@ Sources: Olson, ICRA 2009 [O09] (correlative matching, its covariance); Konolige
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import cast
 
 import numpy as np
@@ -273,9 +274,9 @@ class GraphSlam(SavedMapper):
         """Return the map of all nodes at their poses of today; see ``Mapper.grid``."""
         return self._map.draw(self.map_job(is_settled=True))
 
-    def map_drawer(self, device: ComputeDevice) -> NodeMap:
+    def map_drawer(self, device: ComputeDevice) -> Callable[[MapJob], OccupancyGrid]:
         """Return the drawer of maps on another device; see ``DrawsAside``."""
-        return NodeMap(self._config, device)
+        return NodeMap(self._config, device).draw
 
     def map_job(self, *, is_settled: bool = False) -> MapJob:
         """Return what a ``NodeMap`` on another device draws the map from, in another thread.

@@ -13,7 +13,7 @@ from slamfusion.config import TinySlamConfig
 from slamfusion.geometry import Pose2
 from slamfusion.io.log import LogScan
 from slamfusion.scan import LaserScan
-from slamfusion.slam.tinyslam import TinySlam
+from slamfusion.slam.tinyslam.slam import TinySlam
 from tests.slam.drives import drive
 from tests.slam.places import errors, feed
 
