@@ -131,7 +131,7 @@ class MapDrawer:
         for whole in wholes:
             self._whole.count(whole, self._whole.place(whole), 1)
         hits, visits, corner = self._whole.cells()
-        walls = np.where(_is_wall(hits, visits), WALL, OPEN).astype(np.uint8)
+        walls = np.where(_is_wall(hits, visits), np.uint8(WALL), np.uint8(OPEN))
         cells = self._device.upload(walls)
         stopped = [_cut_off(one, cells, corner, self._device, resolution) for one in wholes]
         self._stopped.cover(stopped)

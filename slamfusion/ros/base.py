@@ -456,6 +456,7 @@ def run_node(make: Callable[[], NodeBase], arguments: Sequence[str] | None = Non
             # ROS does not say whether it came from a parameter or a remapping.
             message = f"{invalid_name(error)}; correct it in the parameters or remappings"
             raise ConfigError(message) from None
+        return_freed_memory()  # of the first launches of all kernels
         if mark := os.environ.get(STARTED_VARIABLE):
             with contextlib.suppress(OSError):  # who asked for it is gone
                 Path(mark).touch()
