@@ -19,10 +19,9 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import scipy
 
-from slamfusion.geometry import F64
+from slamfusion.geometry import F64, I32, I64
 
 # Pairs of pieces that are compared at once: they fit into the processor's cache.
 COMPARED = 1 << 17
@@ -40,9 +39,9 @@ class PieceLines:
         apart: from this number of pieces apart two pieces are no neighbours; 1: none are.
     """
 
-    points: npt.NDArray[np.int32]
-    starts: npt.NDArray[np.int32]
-    squares: npt.NDArray[np.int64]
+    points: I32
+    starts: I32
+    squares: I64
     width: float
     apart: int
 

@@ -14,7 +14,7 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.compute.layout import FIXED_ONE
 from slamfusion.config import NormalizeConfig
 from slamfusion.errors import GridError
-from slamfusion.geometry import Pose2
+from slamfusion.geometry import I8, U8, Pose2
 from slamfusion.grid import UNKNOWN, CellBox, OccupancyGrid, known_box, trinary_cells
 from slamfusion.io.files import check_memory
 from slamfusion.vote.lattice import SAME_RESOLUTION, Lattice
@@ -49,8 +49,8 @@ class NormalizedGrid:
     """
 
     grid: OccupancyGrid
-    cells: npt.NDArray[np.int8]
-    solid: npt.NDArray[np.uint8]
+    cells: I8
+    solid: U8
 
     @property
     def name(self) -> str:
@@ -195,9 +195,7 @@ def _resample(
     return OccupancyGrid(fine, resolution, grid.origin, grid.name)
 
 
-def _blocks(
-    cells: npt.NDArray[np.int8], ratio: float, fill: int, device: ComputeDevice
-) -> npt.NDArray[np.int8]:
+def _blocks(cells: I8, ratio: float, fill: int, device: ComputeDevice) -> I8:
     """Return the points (H, n, W, n) at which cells of ``ratio`` times the size read a grid."""
     if abs(ratio - 1.0) < SAME_RESOLUTION:
         return cells.reshape(cells.shape[0], 1, cells.shape[1], 1)
@@ -218,7 +216,7 @@ def _blocks(
     return fine.reshape(height, parts, width, parts)
 
 
-def pool_cells(blocks: npt.NDArray[np.int8], config: NormalizeConfig) -> npt.NDArray[np.int8]:
+def pool_cells(blocks: I8, config: NormalizeConfig) -> I8:
     """Return one cell a block (H, n, W, n): any wall wins, else the mean if half is known."""
     height, parts, width, _ = blocks.shape
     pooled = np.empty((height, width), dtype=np.int8)

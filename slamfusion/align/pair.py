@@ -17,7 +17,7 @@ from slamfusion.align.features import GridFeatures
 from slamfusion.align.normalize import NormalizedGrid
 from slamfusion.compute import ComputeDevice
 from slamfusion.compute.layout import FIXED_ONE
-from slamfusion.geometry import F64, Pose2, wrap_angle
+from slamfusion.geometry import B8, F64, Pose2, wrap_angle
 
 Columns = tuple[F64, F64, F64, F64]
 # Motions that are compared with each other at once.
@@ -81,7 +81,7 @@ def distinct(
     return np.array(kept, dtype=np.intp)
 
 
-def _are_apart(a: F64, b: F64, shift: float, turn: float) -> npt.NDArray[np.bool_]:
+def _are_apart(a: F64, b: F64, shift: float, turn: float) -> B8:
     """Return (A, B) whether motions are farther from each other than shift or turn."""
     x, y = (a[:, None, k] - b[:, k] for k in range(2))
     turned = np.abs(np.mod(a[:, None, 2], 2.0 * math.pi) - np.mod(b[:, 2], 2.0 * math.pi))

@@ -5,11 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-import numpy as np
-import numpy.typing as npt
-
 from slamfusion.align.decide import DecisionKind, MatchEvidence, Strength, strength_of
-from slamfusion.geometry import Pose2
+from slamfusion.geometry import B8, F64, I8, Pose2
 from slamfusion.grid import IDENTITY, OccupancyGrid
 from slamfusion.json_values import POSE, printed_as
 from slamfusion.vote.tiles import GridLayer
@@ -53,7 +50,7 @@ class Alignment:
     """Wall time, seconds."""
     statistics: dict[str, float] = field(default_factory=dict)
     """Further numbers of the answer, by name."""
-    yaw_profile: npt.NDArray[np.float64] | None = field(default=None, repr=False)
+    yaw_profile: F64 | None = field(default=None, repr=False)
     """(K, 2): yaw in rad (of ``transform``) and the most evidence there, as a share of the most
     anywhere."""
     evidence: MatchEvidence | None = field(default=None, metadata=printed_as("match_evidence"))
@@ -119,12 +116,12 @@ class InputRecord:
         return self.grid.name
 
     @property
-    def aligned(self) -> npt.NDArray[np.int8] | None:
+    def aligned(self) -> I8 | None:
         """(H, W) int8 in {-1, 0, 1} on all of the fused lattice; None when it did not vote."""
         return None if self.layer is None else self.layer.aligned()
 
     @property
-    def dissent(self) -> npt.NDArray[np.bool_] | None:
+    def dissent(self) -> B8 | None:
         """(H, W) bool, where this input voted and was outvoted; None when it did not vote."""
         return None if self.layer is None else self.layer.dissent()
 

@@ -89,7 +89,7 @@ def _votes(winner: I64, own: I64 | I32, cast: I64 | I32, outvoted: B8, phantom_c
 def _vote(
     device: OpenCLDevice,
     name: str,
-    grids: Sequence[npt.NDArray[np.int8] | npt.NDArray[np.uint8]],
+    grids: Sequence[I8 | U8],
     arguments: tuple[Any, ...],
     chunk: int = CHUNK_CELLS,
 ) -> Votes:

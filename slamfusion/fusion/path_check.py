@@ -18,7 +18,6 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from slamfusion.align.align import track_pair
 from slamfusion.align.pair import Pair
@@ -30,7 +29,7 @@ from slamfusion.errors import AlignmentError
 from slamfusion.fusion.grouping import PATH_GAP
 from slamfusion.fusion.groups import LEAST_FUSED
 from slamfusion.fusion.pipeline import fuse_grids
-from slamfusion.geometry import Pose2, blend_poses, fit_motion, with_levers, wrap_angles
+from slamfusion.geometry import F64, I64, Pose2, blend_poses, fit_motion, with_levers, wrap_angles
 from slamfusion.grid import OccupancyGrid
 from slamfusion.trajectory import Trajectory
 
@@ -78,9 +77,9 @@ class PathGap:
     """How far apart they begin, metres."""
     median_yaw_rad: float
     """Median of the differences of the headings, 0 to pi, radians."""
-    stamps_s: npt.NDArray[np.float64] = field(repr=False)
+    stamps_s: F64 = field(repr=False)
     """(N,), of the poses of ``a`` at whose time it is known where ``b`` is."""
-    gaps_m: npt.NDArray[np.float64] = field(repr=False)
+    gaps_m: F64 = field(repr=False)
     """(N,), distance to where ``b`` is then."""
 
     @property
@@ -109,9 +108,7 @@ def path_gaps(paths: Mapping[str, Trajectory]) -> tuple[PathGap, ...]:
     return tuple(gaps)
 
 
-def _together(
-    path: Trajectory, other: Trajectory
-) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.float64]]:
+def _together(path: Trajectory, other: Trajectory) -> tuple[I64, F64]:
     """Return indices of poses of a path, and the places of another at their times, (M, 3).
 
     See ``BETWEEN_S`` and ``BESIDE_S``; without such times the nearest pose within ``TOGETHER_S`` is

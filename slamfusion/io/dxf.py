@@ -8,9 +8,9 @@ from typing import Any
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from slamfusion.errors import MapFileError
+from slamfusion.geometry import I8
 from slamfusion.io.files import check_memory
 
 # Cell size in metres if the drawing has a unit; else the number of cells on its longest side,
@@ -25,9 +25,7 @@ CHORD_CELLS = 0.25
 MARGIN_CELLS = 4
 
 
-def read_dxf(
-    path: Path, resolution: float | None
-) -> tuple[npt.NDArray[np.int8], float, tuple[float, float]]:
+def read_dxf(path: Path, resolution: float | None) -> tuple[I8, float, tuple[float, float]]:
     """Draw the lines of a DXF file's model space, without texts, dimensions and hidden layers.
 
     Args:

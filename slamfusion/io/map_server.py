@@ -32,7 +32,7 @@ import yaml
 
 from slamfusion.config import NormalizeConfig
 from slamfusion.errors import MapFileError
-from slamfusion.geometry import F64, I8, Pose2
+from slamfusion.geometry import B8, F64, I8, U8, Pose2
 from slamfusion.grid import (
     FREE,
     OCCUPIED,
@@ -253,7 +253,7 @@ def with_settled_edges(cells: I8, pixels: Pixels, rules: Rules) -> I8:
 
     cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
 
-    def reached(kind: int) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
+    def reached(kind: int) -> tuple[B8, B8]:
         """Return the grey cells one step, and at most two steps, from a class."""
         near = [np.asarray(classes == kind)]
         for _ in range(2):
@@ -267,9 +267,7 @@ def with_settled_edges(cells: I8, pixels: Pixels, rules: Rules) -> I8:
     return settled
 
 
-def pixels_from_cells(
-    cells: I8, rules: Rules, image_format: str, classes: NormalizeConfig
-) -> npt.NDArray[np.uint8]:
+def pixels_from_cells(cells: I8, rules: Rules, image_format: str, classes: NormalizeConfig) -> U8:
     """Return the picture of the cells, top row first: grey, or grey as colours and alpha.
 
     Args:
@@ -290,7 +288,7 @@ def pixels_from_cells(
         table[: OCCUPIED + 1] = (((100 - value) / 100.0 * _QUANTUM_MAX).astype(np.int64)) // 257
         table[255] = 127
     flipped = cells.view(np.uint8)[::-1]
-    grey: npt.NDArray[np.uint8] = table[flipped]
+    grey: U8 = table[flipped]
     if rules.mode != "scale" or image_format != "png":
         return grey
     opaque = np.full(256, 255, dtype=np.uint8)

@@ -17,10 +17,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from slamfusion.errors import MapFileError
-from slamfusion.geometry import Pose2
+from slamfusion.geometry import I8, Pose2
 from slamfusion.grid import UNKNOWN, CellBox, OccupancyGrid
 
 
@@ -71,7 +70,7 @@ class MapStore:
             )
             self._arrays = {name: group[name] for name in names}
 
-    def write(self, name: str, box: CellBox, cells: npt.NDArray[np.int8]) -> None:
+    def write(self, name: str, box: CellBox, cells: I8) -> None:
         """Write a box of cells of an array."""
         try:
             self._arrays[name][box.row0 : box.row1, box.col0 : box.col1] = cells

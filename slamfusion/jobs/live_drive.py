@@ -19,7 +19,6 @@ from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias, get_args
 
 import numpy as np
-import numpy.typing as npt
 import scipy
 
 from slamfusion.compute import ComputeDevice
@@ -42,7 +41,7 @@ from slamfusion.evidence.path_frames import moved_onto
 from slamfusion.evidence.predictive import SURE, PathEvidence, score_paths
 from slamfusion.evidence.recommendation import LEAST_DIFFERENCE
 from slamfusion.fusion.live import Evidence
-from slamfusion.geometry import F64, Pose2, fit_motion, moved_poses, row_of, with_levers
+from slamfusion.geometry import B8, F64, Pose2, fit_motion, moved_poses, row_of, with_levers
 from slamfusion.io import LogScan
 from slamfusion.jobs.fused_path import fuse_weighed_paths
 from slamfusion.jobs.outputs import DRAWN, FUSED
@@ -471,7 +470,7 @@ def _doubts(evidence: PathEvidence, contradicted: Sequence[str]) -> dict[str, st
     return found if len(found) < len(evidence.scores) - 1 else {}
 
 
-def _bent_at(evidence: PathEvidence, name: str) -> npt.NDArray[np.bool_]:
+def _bent_at(evidence: PathEvidence, name: str) -> B8:
     """Return at which judged scans a path has parted from the fused one, (M,) bool.
 
     It is aligned by the first part of the drive that shows it: aligned by most of its poses, a path

@@ -12,10 +12,9 @@ Set Maximization, ICRA 2018; here pairs are near and all of them count, instead 
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 import scipy
 
-from slamfusion.geometry import F64, I64, compose_poses, invert_poses, wrap_angles
+from slamfusion.geometry import B8, F64, I64, compose_poses, invert_poses, wrap_angles
 from slamfusion.pose_graph.least_squares import Measurements
 from slamfusion.pose_graph.uncertainty import inverted, moved, turned
 
@@ -34,9 +33,7 @@ PAIRS_AT_ONCE, MOST_PAIRS = 100_000, 2_000_000
 FEWEST_LOOPS = 20
 
 
-def find_consensus(
-    measured: Measurements, may_be_outlier: npt.NDArray[np.bool_]
-) -> tuple[I64, float]:
+def find_consensus(measured: Measurements, may_be_outlier: B8) -> tuple[I64, float]:
     """Find the possible outliers, (M,) bool, that support each other.
 
     Returns:
@@ -81,9 +78,7 @@ class _Odometry:
         piece: (N,) number of gaps so far.
     """
 
-    def __init__(
-        self, edges: I64, motions: F64, covariances: F64, is_trusted: npt.NDArray[np.bool_]
-    ) -> None:
+    def __init__(self, edges: I64, motions: F64, covariances: F64, is_trusted: B8) -> None:
         count = int(edges.max()) + 1
         steps, noises = np.zeros((count, 3)), np.zeros((count, 3, 3))
         acts_at = np.arange(count)

@@ -13,9 +13,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from slamfusion.errors import GraphError
+from slamfusion.geometry import I64
 from slamfusion.io.files import write_atomic
 from slamfusion.io.lines import packed_by_name, text_lines
 from slamfusion.pose_graph.graph import (
@@ -54,7 +54,7 @@ class GraphFile:
     """
 
     graph: PoseGraph
-    ids: npt.NDArray[np.int64]
+    ids: I64
     fixed: tuple[int, ...]
     has_poses: bool
     skipped: dict[str, int] = field(default_factory=dict)
@@ -99,10 +99,7 @@ def read_g2o(path: str | Path) -> GraphFile:
 
 
 def write_g2o(
-    path: str | Path,
-    graph: PoseGraph,
-    ids: npt.NDArray[np.int64] | None = None,
-    fixed: Sequence[int] = (0,),
+    path: str | Path, graph: PoseGraph, ids: I64 | None = None, fixed: Sequence[int] = (0,)
 ) -> None:
     """Write a graph as g2o's text with all digits, packed if the path ends in ``.gz``.
 

@@ -10,7 +10,7 @@ import numpy.typing as npt
 import scipy
 
 from slamfusion.errors import GraphError
-from slamfusion.geometry import F64, compose_poses, invert_poses
+from slamfusion.geometry import B8, F64, I32, I64, compose_poses, invert_poses
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,10 +31,10 @@ class PoseGraph:
     """
 
     poses: F64
-    edges: npt.NDArray[np.int64]
+    edges: I64
     motions: F64
     information: F64
-    is_closure: npt.NDArray[np.bool_]
+    is_closure: B8
 
     def __post_init__(self) -> None:
         poses = np.array(self.poses, np.float64).reshape(-1, 3)
@@ -76,7 +76,7 @@ class PoseGraph:
         return dataclasses.replace(self, poses=poses)
 
 
-def part_labels(edges: npt.NDArray[np.int64], count: int) -> tuple[int, npt.NDArray[np.int32]]:
+def part_labels(edges: I64, count: int) -> tuple[int, I32]:
     """Return the number of connected parts of ``count`` poses, and the part of each, (count,)."""
     parts, labels = scipy.sparse.csgraph.connected_components(
         _adjacency(edges, count), directed=False
@@ -84,7 +84,7 @@ def part_labels(edges: npt.NDArray[np.int64], count: int) -> tuple[int, npt.NDAr
     return int(parts), np.asarray(labels, np.int32)
 
 
-def check_connected(edges: npt.NDArray[np.int64], count: int, where: str = "") -> None:
+def check_connected(edges: I64, count: int, where: str = "") -> None:
     """Raise ``GraphError`` if a graph of ``count`` poses is in several parts."""
     parts, _ = part_labels(edges, count)
     if parts > 1:
@@ -92,7 +92,7 @@ def check_connected(edges: npt.NDArray[np.int64], count: int, where: str = "") -
         raise GraphError(f"{message}; optimise each part on its own")
 
 
-def loop_closing(edges: npt.NDArray[np.int64], count: int) -> npt.NDArray[np.bool_]:
+def loop_closing(edges: I64, count: int) -> B8:
     """Return which edges, (M, 2) from and to, close a loop on top of odometry, (M,) bool.
 
     Edges between consecutive poses, in either direction, are odometry. Of the others, in order, one
@@ -103,9 +103,7 @@ def loop_closing(edges: npt.NDArray[np.int64], count: int) -> npt.NDArray[np.boo
     return is_closure
 
 
-def joining(
-    edges: npt.NDArray[np.int64], is_closure: npt.NDArray[np.bool_], count: int
-) -> npt.NDArray[np.int64]:
+def joining(edges: I64, is_closure: B8, count: int) -> I64:
     """Return the indices, rising, of closures that each join two parts left apart so far."""
     parts, labels = part_labels(edges[~is_closure], count)
     between = labels[edges]
@@ -156,14 +154,12 @@ def chained_poses(graph: PoseGraph, root: int = 0) -> F64:
     return poses
 
 
-def _adjacency(edges: npt.NDArray[np.int64], count: int) -> scipy.sparse.coo_matrix:
+def _adjacency(edges: I64, count: int) -> scipy.sparse.coo_matrix:
     ones = np.ones(len(edges))
     return scipy.sparse.coo_matrix((ones, (edges[:, 0], edges[:, 1])), shape=(count, count))
 
 
-def _refuse(
-    kind: str, is_bad: npt.ArrayLike, what: str, edges: npt.NDArray[np.int64] | None
-) -> None:
+def _refuse(kind: str, is_bad: npt.ArrayLike, what: str, edges: I64 | None) -> None:
     """Raise an error that names the first bad pose or edge, and how many there are."""
     bad = np.flatnonzero(is_bad)
     if len(bad):
@@ -171,7 +167,7 @@ def _refuse(
         raise GraphError(f"{kind} {bad[0]}{ends} {what}; {len(bad)} such {kind}s")
 
 
-def is_positive_definite(matrices: F64) -> npt.NDArray[np.bool_]:
+def is_positive_definite(matrices: F64) -> B8:
     """Tell which of (M, 3, 3) matrices are symmetric and positive definite, (M,)."""
     symmetric = (matrices == matrices.transpose(0, 2, 1)).all(axis=(1, 2))
     a, b, c = matrices[:, 0, 0], matrices[:, 0, 1], matrices[:, 0, 2]

@@ -23,10 +23,9 @@ from dataclasses import dataclass
 from typing import Any, ParamSpec, TypeAlias, TypeVar, cast
 
 import numpy as np
-import numpy.typing as npt
 import scipy
 
-from slamfusion.geometry import F64, I64, wrap_angles
+from slamfusion.geometry import B8, F64, I64, wrap_angles
 
 
 class Measurements:
@@ -44,7 +43,7 @@ class Measurements:
         upper: (6, M), the upper triangles of the information, row by row.
     """
 
-    def __init__(self, edges: npt.NDArray[np.int64], motions: F64, information: F64) -> None:
+    def __init__(self, edges: I64, motions: F64, information: F64) -> None:
         self.edges, self.motions, self.information = edges, motions, information
         self.start, self.end = edges[:, 0].copy(), edges[:, 1].copy()
         self.motion = np.ascontiguousarray(motions.T)
@@ -55,7 +54,7 @@ class Measurements:
     def __len__(self) -> int:
         return len(self.edges)
 
-    def chosen(self, which: npt.NDArray[np.bool_] | npt.NDArray[np.int64]) -> Measurements:
+    def chosen(self, which: B8 | I64) -> Measurements:
         """Return those of some edges, by (M,) bool or by their indices."""
         return Measurements(self.edges[which], self.motions[which], self.information[which])
 

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from slamfusion.errors import GraphError
-from slamfusion.geometry import F64, wrap_angles
+from slamfusion.geometry import B8, F64, wrap_angles
 from slamfusion.pose_graph.graph import PoseGraph, chained_poses, check_connected, joining
 from slamfusion.pose_graph.least_squares import Measurements, Steps, at_once, rotations_first
 from slamfusion.pose_graph.robust import InlierSet, Problem, consensus, dcs, gnc, plain
@@ -42,7 +42,7 @@ class Optimized(InlierSet):
     time_s: float
 
     @property
-    def is_outlier(self) -> npt.NDArray[np.bool_]:
+    def is_outlier(self) -> B8:
         """Whether each edge is outside the inlier set, (M,)."""
         return np.asarray(self.weights < 0.5)
 

@@ -25,9 +25,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
-from slamfusion.geometry import B8, F64
+from slamfusion.geometry import B8, F64, I64
 from slamfusion.pose_graph.consensus import find_consensus
 from slamfusion.pose_graph.least_squares import (
     NEGLIGIBLE,
@@ -322,7 +321,7 @@ class _Search:
         """Return the closures that are outside the inlier set, (M,) bool."""
         return self._problem.may_be_outlier & ~self.used
 
-    def _against_graph(self, asked: npt.NDArray[np.int64]) -> Gates:
+    def _against_graph(self, asked: I64) -> Gates:
         """Check outside edges against the graph, given its uncertainty."""
         if len(asked) == 0:
             return Gates(np.zeros(0), np.zeros(0))

@@ -10,7 +10,7 @@ import numpy.typing as npt
 import scipy
 
 from slamfusion.errors import SimulationError
-from slamfusion.geometry import F64, travelled
+from slamfusion.geometry import B8, F64, travelled
 from slamfusion.grid import FREE, OccupancyGrid
 
 Point = tuple[float, float]
@@ -168,7 +168,7 @@ class FreeSpace:
         stops = [self._roomy(chosen[index], reachable) for index in order[1:]]
         return [*stops, (float(start[0]), float(start[1]))]
 
-    def _roomy(self, place: int, reachable: npt.NDArray[np.bool_]) -> Point:
+    def _roomy(self, place: int, reachable: B8) -> Point:
         """Return the roomiest place near one: robots turn better away from corners."""
         away = np.hypot(*(self._places - self._places[place]).T)
         near = np.flatnonzero((away <= 6.0 * STEP_M) & reachable)

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from slamfusion.compute import ComputeDevice
 from slamfusion.compute.layout import GLASS, OPEN, WALL
 from slamfusion.config import LidarConfig, ObstacleConfig, PersonConfig
-from slamfusion.geometry import F32, F64, Pose2, compose_poses
+from slamfusion.geometry import B8, F32, F64, U8, Pose2, compose_poses
 from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 
 
@@ -28,12 +28,12 @@ class World:
     """
 
     grid: OccupancyGrid
-    glass: npt.NDArray[np.bool_]
+    glass: B8
     wall_height_m: float = 2.5
     people: tuple[PersonConfig, ...] = ()
     obstacles: tuple[ObstacleConfig, ...] = ()
 
-    def classes(self) -> npt.NDArray[np.uint8]:
+    def classes(self) -> U8:
         """Return beam targets, (H, W) uint8: 0 open, 1 wall, 2 glass."""
         solid = np.where(self.grid.cells == OCCUPIED, WALL, OPEN)
         return np.asarray(np.where(self.glass, GLASS, solid), dtype=np.uint8)
@@ -52,9 +52,7 @@ def thin_walls(truth: OccupancyGrid) -> OccupancyGrid:
     return OccupancyGrid(cells, truth.resolution, truth.origin, truth.name)
 
 
-def zone_place(
-    obstacle: ObstacleConfig, points: npt.ArrayLike
-) -> tuple[F64, npt.NDArray[np.bool_]]:
+def zone_place(obstacle: ObstacleConfig, points: npt.ArrayLike) -> tuple[F64, B8]:
     """Return where points (..., 2) are across an obstacle, and whether they are on it.
 
     Points in metres, map frame; the share across is -0.5 to 0.5 on the obstacle.

@@ -12,12 +12,11 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 import scipy
 
 from slamfusion.config import NormalizeConfig, WorldConfig
 from slamfusion.errors import SimulationError
-from slamfusion.geometry import F64, Pose2
+from slamfusion.geometry import B8, F64, I8, Pose2
 from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid, trinary_cells
 from slamfusion.io.map_server import load_map
 
@@ -58,9 +57,7 @@ def draw_floor(config: WorldConfig, rng: np.random.Generator) -> Floor:
     return _DRAWINGS[config.name](rng, config.resolution)
 
 
-def pick_glass(
-    grid: OccupancyGrid, share: float, rng: np.random.Generator
-) -> npt.NDArray[np.bool_]:
+def pick_glass(grid: OccupancyGrid, share: float, rng: np.random.Generator) -> B8:
     """Turn parts of thin straight walls into glass, (H, W) bool."""
     walls = grid.cells == OCCUPIED
     glass = np.zeros(walls.shape, dtype=np.bool_)
@@ -89,7 +86,7 @@ class Canvas:
     def __init__(self, width_m: float, height_m: float, resolution: float) -> None:
         self.resolution = resolution
         shape = (self.cell(height_m), self.cell(width_m))
-        self.cells: npt.NDArray[np.int8] = np.full(shape, UNKNOWN, dtype=np.int8)
+        self.cells: I8 = np.full(shape, UNKNOWN, dtype=np.int8)
         self.wall_m = max(WALL_M, resolution)
 
     def cell(self, length_m: float) -> int:
@@ -354,7 +351,7 @@ def _barricades(canvas: Canvas, start: F64, end: F64) -> None:
         canvas.turned_box(centre, (length / count - 0.15, 0.15), yaw, OCCUPIED)
 
 
-def _inside(ring: F64, canvas: Canvas) -> npt.NDArray[np.bool_]:
+def _inside(ring: F64, canvas: Canvas) -> B8:
     """Return which cell centres lie inside a closed ring of corners (N, 2), metres (even-odd)."""
     rows, cols = ((np.arange(size) + 0.5) * canvas.resolution for size in canvas.cells.shape)
     x, y = cols[None, :], rows[:, None]

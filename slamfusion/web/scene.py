@@ -29,9 +29,8 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
-import numpy.typing as npt
 
-from slamfusion.geometry import Pose2
+from slamfusion.geometry import I8, Pose2
 from slamfusion.grid import UNKNOWN, OccupancyGrid
 from slamfusion.json_values import plain
 from slamfusion.palette import AGREED_WALL_RGB, DISAGREEMENT_RGB, FREE_RGB, colours_of
@@ -78,9 +77,7 @@ def to_text(kind: str, content: Mapping[str, Any]) -> str:
     return json.dumps(plain({"type": kind, **content}), allow_nan=False, separators=(",", ":"))
 
 
-def encode_tile(
-    layer: str, place: Place, stamp_s: float, cells: npt.NDArray[np.int8], level: int = FASTEST
-) -> bytes:
+def encode_tile(layer: str, place: Place, stamp_s: float, cells: I8, level: int = FASTEST) -> bytes:
     """Return the bytes of a tile, (TILE, TILE) int8; see the module."""
     row, column = place
     header = {"layer": layer, "row": row, "column": column, "stamp_s": round(stamp_s, 3)}
@@ -91,7 +88,7 @@ def encode_tile(
     return HEADER.pack(len(head)) + head + body
 
 
-def _cut(cells: npt.NDArray[np.int8], offset: Place) -> dict[Place, npt.NDArray[np.int8]]:
+def _cut(cells: I8, offset: Place) -> dict[Place, I8]:
     """Return the tiles of cells at an offset, but those without a known cell."""
     (row0, column0), (height, width) = offset, cells.shape
     first = row0 // TILE, column0 // TILE
@@ -125,7 +122,7 @@ class _Layer:
     kind: Kind
     is_shown: bool
     lattice: Lattice | None = None
-    tiles: dict[Place, npt.NDArray[np.int8]] = field(default_factory=dict)
+    tiles: dict[Place, I8] = field(default_factory=dict)
     epoch: int = 0
     seq: int = 0
     sent: dict[Place, tuple[int, bytes]] = field(default_factory=dict)

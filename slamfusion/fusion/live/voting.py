@@ -12,7 +12,6 @@ from functools import reduce
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from slamfusion.align.records import Bent
 from slamfusion.compute import ComputeDevice
@@ -22,7 +21,7 @@ from slamfusion.fusion.lattice_vote import bent_maps
 from slamfusion.fusion.live.inputs import Input, Reason
 from slamfusion.fusion.live.layers import Layer, carry
 from slamfusion.fusion.live.state import LiveState
-from slamfusion.geometry import I8, Pose2
+from slamfusion.geometry import I8, U8, Pose2
 from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, CellBox, OccupancyGrid, trinary_cells
 from slamfusion.io.files import check_memory
 from slamfusion.vote.agreement import Trust, WallCounts, count_walls, trust_of
@@ -53,7 +52,7 @@ class LaidInput:
     """
 
     cells: I8
-    walls: npt.NDArray[np.uint8]
+    walls: U8
     covered: CellBox | None = None
     place: tuple[Lattice, Pose2] | None = None
     changed: CellBox | None = None

@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from slamfusion.config import LogConfig
 from slamfusion.errors import LogError, ScanError
+from slamfusion.geometry import F32
 from slamfusion.io.bags.odometry import BagFrames
 from slamfusion.io.bags.reader import SCAN_TYPES, OpenBag, open_bag, stamp_s
 from slamfusion.io.log import LogScan, ScanLog
@@ -37,7 +37,7 @@ UNREADABLE = "message that cannot be read"
 NO_SCAN = "angles or ranges that cannot be a scan"
 
 
-def first_echoes(message: Any) -> npt.NDArray[np.float32]:
+def first_echoes(message: Any) -> F32:
     """Return the ranges of a scan, (N,) metres; of several echoes the first, +inf without any."""
     if message.__msgtype__.endswith("MultiEchoLaserScan"):
         echoes = (beam.echoes for beam in message.ranges)

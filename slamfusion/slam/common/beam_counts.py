@@ -17,7 +17,7 @@ import scipy
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.compute.layout import BEAM_ONE, MOST_BEAMS, TILE
-from slamfusion.geometry import F64, I32, U32, corners, transform_points
+from slamfusion.geometry import B8, F64, I32, I64, U32, corners, transform_points
 from slamfusion.slam.common.tile_map import SharedTileMaps
 
 
@@ -34,8 +34,8 @@ class Beams:
 
     lasers: F64
     ends: F64
-    is_hit: npt.NDArray[np.bool_]
-    firsts: npt.NDArray[np.int64]
+    is_hit: B8
+    firsts: I64
 
     @classmethod
     def of(cls, scans: Sequence[Any], poses: npt.ArrayLike, resolution: float) -> Beams:
@@ -57,7 +57,7 @@ class Beams:
         )
 
     @property
-    def scans(self) -> npt.NDArray[np.int64]:
+    def scans(self) -> I64:
         """The scan of each beam."""
         return np.repeat(np.arange(len(self.lasers)), np.diff(self.firsts))
 
@@ -106,7 +106,7 @@ class BeamCounts:
         is_hit = beams.is_hit.astype(np.uint8)
         self._device.count_walks(hits, visits, maps.page_tables, rows, is_hit, sign)
 
-    def cells(self) -> tuple[U32, U32, npt.NDArray[np.int64]]:
+    def cells(self) -> tuple[U32, U32, I64]:
         """Return hits and visits, (H, W), and the lattice's column and row of the first cell."""
         hits, corner = self._maps.cells("hits", 0)
         return hits, self._maps.cells("visits", 0)[0], corner
@@ -117,9 +117,7 @@ def _fixed(cells: F64) -> I32:
     return np.asarray(np.floor(cells * BEAM_ONE), dtype=np.int32)
 
 
-def _pages_crossed(
-    lasers: F64, ends: F64, of: npt.NDArray[np.int64], shape: tuple[int, ...]
-) -> npt.NDArray[np.bool_]:
+def _pages_crossed(lasers: F64, ends: F64, of: I64, shape: tuple[int, ...]) -> B8:
     """Return which pages beams may cross, (PH, PW) bool, with some neighbours.
 
     ``of`` is the scan of each beam. One beam of a scan is followed to the middle of each end page;

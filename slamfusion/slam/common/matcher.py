@@ -24,7 +24,7 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.compute.arrays import DeviceArray
 from slamfusion.compute.layout import CLIMBERS
 from slamfusion.compute.scan_match import FieldWindow
-from slamfusion.geometry import F64, corners, wrap_angle, wrap_angles
+from slamfusion.geometry import F32, F64, corners, wrap_angle, wrap_angles
 
 # Distance, metres, between the five cells whose maximum the first look uses: the draws' spacing.
 WIDE_REACH_M = 0.15
@@ -208,7 +208,7 @@ class ScanOnTiles:
         return self._window
 
 
-def pose_table(poses: F64, cell: float, corner: F64) -> npt.NDArray[np.float32]:
+def pose_table(poses: F64, cell: float, corner: F64) -> F32:
     """Return poses (..., 3), metres and radians in the map frame, as (..., 4) float32 for kernels.
 
     ``cell`` is in metres; ``corner`` is the window's lower-left corner (2,) in cells.

@@ -25,7 +25,7 @@ import numpy.typing as npt
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import to_mapping
 from slamfusion.errors import MemoryBudgetError, SlamFusionError, shown
-from slamfusion.geometry import Pose2
+from slamfusion.geometry import F64, Pose2
 from slamfusion.io import check_memory, write_atomic
 from slamfusion.io.files import open_regular
 from slamfusion.io.log import Skips
@@ -86,7 +86,7 @@ class Rows(Stateful):
         self.table[self._count] = row
         self._count += 1
 
-    def array(self) -> npt.NDArray[np.float64]:
+    def array(self) -> F64:
         """Return a copy, (N, columns)."""
         return self.table[: self._count].copy()
 

@@ -7,11 +7,10 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import GraphConfig
-from slamfusion.geometry import F64, Pose2, wrapped_row_of
+from slamfusion.geometry import B8, F64, Pose2, wrapped_row_of
 from slamfusion.grid import IDENTITY
 from slamfusion.pose_graph.uncertainty import turned
 from slamfusion.slam.common.matcher import ScanOnTiles, information_of, response_information
@@ -203,7 +202,7 @@ class LocalMap(Stateful):
         self.node, self.node_pose = number, local
         return local
 
-    def join(self, other: int, node_count: int) -> tuple[npt.NDArray[np.bool_], bool]:
+    def join(self, other: int, node_count: int) -> tuple[B8, bool]:
         """Join the robot's and another component; return which nodes moved, (N,), and if it did.
 
         The later component joins the earlier one.

@@ -8,12 +8,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.compute.hit_counts import percent_of_counts
 from slamfusion.config import GraphConfig
-from slamfusion.geometry import F64, Pose2
+from slamfusion.geometry import F32, F64, Pose2
 from slamfusion.grid import OccupancyGrid, known_box
 from slamfusion.slam.common.beam_counts import BeamCounts, Beams
 from slamfusion.slam.common.mapper import MapJob
@@ -34,8 +33,8 @@ class Node:
         travelled_m: distance travelled up to here.
     """
 
-    ends: npt.NDArray[np.float32]
-    laser: npt.NDArray[np.float32]
+    ends: F32
+    laser: F32
     travelled_m: float
     odometry: Pose2 | None
 

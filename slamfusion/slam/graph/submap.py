@@ -12,14 +12,13 @@ import math
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.compute.arrays import DeviceArray
 from slamfusion.compute.cell_means import LikelihoodRule
 from slamfusion.compute.layout import BEAM_ONE, TILE
 from slamfusion.compute.scan_match import FieldWindow
-from slamfusion.geometry import F64, Pose2, corners, wrap_angles
+from slamfusion.geometry import F64, U8, Pose2, corners, wrap_angles
 from slamfusion.slam.common.matcher import FieldMap
 from slamfusion.slam.common.state import Stateful
 from slamfusion.slam.common.tile_map import TileMap
@@ -89,7 +88,7 @@ class Pyramid:
 
     windows = (16, 8, 4, 2, 1)  # each half of the one before
 
-    def __init__(self, device: ComputeDevice, values: npt.NDArray[np.uint8], corner: F64) -> None:
+    def __init__(self, device: ComputeDevice, values: U8, corner: F64) -> None:
         """Pool the field (H, W) of a submap; cells outside it are no wall."""
         pad = self.windows[0] - 1
         padded = np.pad(values, ((pad, 0), (pad, 0)))
