@@ -181,9 +181,8 @@ def _looked_at(
         own = answer.total - (OBSERVED_M * math.log(START_WRONG) if is_near else 0.0)
         image = best_image(pair, config, chances.trials, answer.reading)
         mirrored, others = 0.0 if image is None else max(0.0, image.total) / own, answer.others
-        # Chance does not explain an image that is accepted itself: the place is its own image.
-        if answer.reading == "good" and image is not None and not image.is_accepted:
-            answer = answer.compared_with_image(mirrored)
+        if answer.reading == "good" and image is not None:
+            answer = answer.compared_with_image(mirrored, is_chance=not image.is_accepted)
     return answer, mirrored, estimate_scale(pair, at, answer.reading, others)
 
 

@@ -1,8 +1,8 @@
 """Compare an answer with what else may explain two maps, in three readings of the maps.
 
 ``decide`` describes the readings and hypotheses. A search keeps separate peaks; a slide along a
-wall, a corridor or a row of desks is one long ridge without a second peak, so shifts of an answer
-of two good maps are hypotheses of their own. An answer of bent maps leaves much unexplained, so
+wall or a corridor is one long ridge without a second peak, so shifts of an answer are hypotheses of
+their own. An answer of bent maps leaves much unexplained, so
 only what is explained counts. A mirrored map of a place with many right angles fits at a third of
 its walls, but its mirror image fits better. A wrong resolution shows as a better scale.
 """
@@ -23,6 +23,7 @@ from slamfusion.align.decide import (
     SAME_TIME_SHARE,
     START_WRONG,
     STOREYS_SHARE,
+    SYMMETRIC,
     TRIALS,
     Hypothesis,
     Reading,
@@ -33,20 +34,14 @@ from slamfusion.align.features import spread_sample
 from slamfusion.align.likelihood import likeness
 from slamfusion.align.pair import Pair, displacement
 from slamfusion.align.refine import common_walls, narrow_fits
-from slamfusion.align.scores import (
-    GOOD_DOUBT,
-    SCORED_POINTS,
-    WallPieces,
-    score_motions,
-    wall_pieces,
-)
+from slamfusion.align.scores import SCORED_POINTS, WallPieces, score_motions, wall_pieces
 from slamfusion.align.search import SearchResult, search
 from slamfusion.align.shifts import SearchWindow
 from slamfusion.compute.lattice import fixed_cells
 from slamfusion.config import AlignConfig
 from slamfusion.geometry import F64
 
-# Wall points for the comparison of shifts and scales.
+# Wall points for the comparison of scales.
 POINTS = 1024
 # From this shift in widths of a wall, or this turn, on two poses differ; and the farthest shift.
 APART_WIDTHS, APART_RAD, FARTHEST_WIDTHS = 4.0, math.radians(10.0), 12.0
@@ -138,16 +133,19 @@ class Answer:
         """The expected number of equally good wrong answers, see ``expected_wrong``."""
         return self.expected(self.nearest)
 
-    def compared_with_image(self, ratio: float) -> Answer:
+    def compared_with_image(self, ratio: float, *, is_chance: bool) -> Answer:
         """Compare it with the mirror image, by the evidence for that over its own.
 
         The image has the same walls and shows no place, so it fits as well as chance allows. It
         counts as another pose with that evidence. Only for two good maps: where nothing
-        contradicts, the image of any place with right angles has half of the evidence.
+        contradicts, the image of any place with right angles has half of the evidence. If chance
+        does not explain the image, the place may be its own image.
         """
         lead = self.against.get("another pose", self.against["no relation"])
-        kept = min(max((1.0 - ratio) / MOST, 0.0), 1.0) if lead > 0.0 else 1.0
-        return replace(self, against=self.against | {"its mirror image": kept * lead})
+        least = min(max((1.0 - ratio) / MOST, 0.0), 1.0) * lead if lead > 0.0 else lead
+        if not is_chance:
+            least = max(least, lead + math.log(SYMMETRIC) / self.weight)
+        return replace(self, against=self.against | {"its mirror image": least})
 
     @property
     def is_accepted(self) -> bool:
@@ -270,24 +268,17 @@ def _slid(pair: Pair, answer: Answer) -> Answer:
     """Compare an answer that beats all other hypotheses with shifts of itself.
 
     Parallel walls hold an answer across them and leave it free along them, where only the ends of
-    the common ground contradict a slide. For two good maps farther shifts by whole widths of a wall
-    are tried too: rows of doors or desks.
+    the common ground contradict a slide.
     """
     if not answer.is_accepted:
         return answer
     motions = np.concatenate((answer.motion[None], slides(pair, answer.motion, answer.reading)))
-    slid = slice(1, len(motions))
-    if answer.reading == "good":
-        motions = np.concatenate((motions, shifts(pair, answer.motion)))
     pieces = weigh(pair, motions, answer.reading)
     own, seen = pieces.weighed[0], pieces.most[0]
-    unseen = np.maximum(seen - pieces.most[slid], 0.0) / np.maximum(seen, 1e-9)
+    unseen = np.maximum(seen - pieces.most[1:], 0.0) / np.maximum(seen, 1e-9)
     typical = float((seen * seen).sum() / max(float(seen.sum()), 1e-9))
-    lost = own - pieces.weighed[slid] - unseen * own
+    lost = own - pieces.weighed[1:] - unseen * own
     least = float(pieces.count(lost, SLIDE_NOISE * typical**2).min())
-    if answer.reading == "good":
-        shifted = pieces.weighed[slid.stop :]
-        least = min(least, float(pieces.count(own - shifted).min()))
     return replace(answer, against=answer.against | {"a shift of itself": least})
 
 
@@ -300,18 +291,6 @@ def slides(pair: Pair, motion: F64, reading: Reading) -> F64:
     angles = np.arange(SLIDES) * (2.0 * math.pi / SLIDES)
     way = np.stack((np.cos(angles), np.sin(angles), np.zeros(SLIDES)), axis=1)
     return np.asarray(motion + widths * pair.widths[0] * way)
-
-
-def shifts(pair: Pair, motion: F64) -> F64:
-    """Return (K, 3) the best shifts of a motion by whole widths of a wall that are other poses."""
-    steps = np.arange(-FARTHEST_WIDTHS, FARTHEST_WIDTHS + 1.0)
-    x, y = (axis.ravel() for axis in np.meshgrid(steps, steps))
-    far = np.hypot(x, y)
-    kept = (far >= APART_WIDTHS) & (far <= FARTHEST_WIDTHS)
-    width = pair.widths[0]
-    moved = motion + np.stack((x, y, np.zeros_like(x)), axis=1)[kept] * (width, width, 1.0)
-    scores = score_motions(pair, moved, 1, sigma=width, points=POINTS, doubt=GOOD_DOUBT)
-    return np.asarray(moved[np.argsort(-scores, kind="stable")[:SLIDES]])
 
 
 def hit_share(pair: Pair, motion: F64) -> float:

@@ -8,12 +8,13 @@ from typing import Any, get_args
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from slamfusion.align.decide import (
     DECISIONS,
     EXPECTED_WRONG_MAX,
+    SYMMETRIC,
     DecisionKind,
     Hypothesis,
     MatchEvidence,
@@ -141,9 +142,18 @@ def test_the_nearest_hypothesis_is_the_one_that_is_not_beaten(answer: Answer) ->
 
 
 @settings(max_examples=examples(100), deadline=None)
-@given(answer=answers(), ratios=st.tuples(st.floats(0.0, 2.0), st.floats(0.0, 2.0)))
-def test_an_image_that_fits_better_never_helps(answer: Answer, ratios: tuple[float, float]) -> None:
-    less, more = (answer.compared_with_image(ratio) for ratio in sorted(ratios))
+@given(
+    answer=answers(),
+    ratios=st.tuples(st.floats(0.0, 2.0), st.floats(0.0, 2.0)),
+    is_chance=st.booleans(),
+)
+def test_an_image_that_fits_better_never_helps(
+    answer: Answer, ratios: tuple[float, float], *, is_chance: bool
+) -> None:
+    assume(answer.weight > 0.0 and "its mirror image" not in answer.against)
+    less, more = (
+        answer.compared_with_image(ratio, is_chance=is_chance) for ratio in sorted(ratios)
+    )
     assert answer.is_accepted >= less.is_accepted >= more.is_accepted
 
 
@@ -152,8 +162,14 @@ def test_an_image_that_fits_as_well_leaves_nothing_of_a_lead() -> None:
     good = Answer(
         "good", np.zeros(3), np.zeros((0, 3)), against, 20.0, 0.0, 0.9, 40.0, (1.0, 0.002)
     )
-    leads = [good.compared_with_image(r).against["its mirror image"] for r in (0.4, 0.75, 1.5)]
+    leads = [
+        good.compared_with_image(r, is_chance=True).against["its mirror image"]
+        for r in (0.4, 0.75, 1.5)
+    ]
     assert leads == pytest.approx([8.0, 4.0, 0.0])
+    # Of an image that chance does not explain only a symmetric place is left.
+    symmetric = good.compared_with_image(1.0, is_chance=False).against["its mirror image"]
+    assert symmetric == pytest.approx(8.0 + math.log(SYMMETRIC) / good.weight)
 
 
 def test_maps_that_leave_walls_unexplained_are_not_read_as_good() -> None:

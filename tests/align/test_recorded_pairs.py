@@ -1,6 +1,6 @@
 """Pairs of recorded and simulated maps are decided as they were, by all of the code.
 
-``recorded_pairs.csv`` names pairs of ``tests.support.overlap`` of each kind, and what is decided;
+``decided_pairs.csv`` names pairs of ``tests.support.overlap`` of each kind, and what is decided;
 none of them is near the decision. Of those with a right answer, none that is wrong is believed.
 """
 
@@ -39,7 +39,7 @@ SETS: dict[str, Callable[[int], tuple[Draft, ...]]] = {
     "scaled 1.1": partial(scaled, factor=1.1),
     "scaled 1.05": partial(scaled, factor=1.05),
 }
-with Path(__file__).with_name("recorded_pairs.csv").open(encoding="utf-8", newline="") as table:
+with Path(__file__).with_name("decided_pairs.csv").open(encoding="utf-8", newline="") as table:
     PAIRS = list(csv.DictReader(table))
 # One pair in three, of every kind, is in every run.
 EVERY = slice(2, None, 3)
