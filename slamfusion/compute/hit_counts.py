@@ -39,7 +39,7 @@ from slamfusion.compute.layout import (
     UNKNOWN,
     VISITS_MASK,
 )
-from slamfusion.compute.tiles import tile_places, walk_cells
+from slamfusion.compute.tiles import move_points, tile_places, walk_cells
 from slamfusion.geometry import B8, F32, I32, I64, U8, U32
 
 # Beams that NumPy walks at once.
@@ -144,10 +144,8 @@ def _fixed_places(cells: F32, pages: int) -> I64:
 
 def _placed(scan: BeamScan, points: F32, shape: tuple[int, ...]) -> tuple[I64, I64]:
     """Return x and y (N, P) of points of the robot's frame in each map, in 1/1024 cell."""
-    px, py = points[:, 0], points[:, 1]
-    x, y, cos, sin = (scan.poses[:, i : i + 1] for i in range(4))
     with np.errstate(invalid="ignore", over="ignore"):
-        east, north = x + (cos * px - sin * py), y + (sin * px + cos * py)
+        east, north = move_points(points, scan.poses)
     return _fixed_places(east, shape[-1]), _fixed_places(north, shape[-2])
 
 

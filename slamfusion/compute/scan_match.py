@@ -21,6 +21,7 @@ from slamfusion.compute.layout import (
     TABLE_LAST,
     TILE,
 )
+from slamfusion.compute.tiles import move_points
 from slamfusion.geometry import F32, F64, I32, I64, U8
 
 # A table of smooth values that changes none.
@@ -82,13 +83,6 @@ def _wide(window: FieldWindow, east: F32, north: F32, reach: int) -> I64:
         for dx, dy in around
     ]
     return np.asarray(np.max(found, axis=0), dtype=np.int64)
-
-
-def _moved(points: F32, poses: F32) -> tuple[F32, F32]:
-    """Return x and y of (P, 2) points under (N, 4) poses x, y, cos, sin; each (N, P)."""
-    px, py = points.T
-    x, y, cos, sin = (poses[:, i : i + 1] for i in range(4))
-    return x + (cos * px - sin * py), y + (sin * px + cos * py)
 
 
 def _losses(poses: F32, hypotheses: F32) -> F32:
@@ -174,7 +168,7 @@ class ScanMatchDevice(ArrayDevice):
                 reach or self.opencl.table(table),
             )  # fmt: skip
             return sums.astype(np.int64)
-        east, north = _moved(host(points), poses)
+        east, north = move_points(host(points), poses)
         if reach:
             return np.asarray(_wide(window, east, north, reach).sum(axis=1))
         return np.asarray(table[_smooth(window, east, north)].sum(axis=1, dtype=np.int64))

@@ -24,7 +24,7 @@ from slamfusion.compute.layout import (
     WALK_SHIFT,
     WALK_TO_BEAM_SHIFT,
 )
-from slamfusion.geometry import I32, I64
+from slamfusion.geometry import F32, I32, I64
 
 Scalar = TypeVar("Scalar", bound=np.generic)
 
@@ -50,6 +50,13 @@ def walk_cells(beams: I32 | I64, behind: I64 | int = 0) -> tuple[I64, I64, I64, 
     col = ((x[beam] << WALK_TO_BEAM_SHIFT) + i * step_x[beam]) >> WALK_SHIFT
     row = ((y[beam] << WALK_TO_BEAM_SHIFT) + i * step_y[beam]) >> WALK_SHIFT
     return beam, row, col, i
+
+
+def move_points(points: F32, poses: F32) -> tuple[F32, F32]:
+    """Return x and y of (P, 2) points under (N, 4) poses x, y, cos, sin; each (N, P)."""
+    px, py = points.T
+    x, y, cos, sin = (poses[:, i : i + 1] for i in range(4))
+    return x + (cos * px - sin * py), y + (sin * px + cos * py)
 
 
 def tile_places(pages: I32, maps: I64 | int, row: I64, col: I64) -> tuple[I64, I64, I64]:
