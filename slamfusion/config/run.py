@@ -162,13 +162,14 @@ def checked_start(given: Any, where: str) -> tuple[float, ...]:
     return values
 
 
-def checked_starts(given: Any, where: str = "start") -> dict[str, tuple[float, ...]]:
+def checked_starts(given: Any) -> dict[str, tuple[float, ...]]:
     """Return starts by the names of inputs; StartError if refused, see ``checked_start``."""
     if not isinstance(given, Mapping):
-        message = f"{where}: wanted names of inputs with {START_FORM} each, found {shown(given)}"
-        raise StartError(message)
+        raise StartError(
+            f"start: wanted names of inputs with {START_FORM} each, found {shown(given)}"
+        )
     named = {name if isinstance(name, str) else shown(name): own for name, own in given.items()}
-    return {name: checked_start(own, f"{where}: {name}") for name, own in named.items()}
+    return {name: checked_start(own, f"start: {name}") for name, own in named.items()}
 
 
 def _yaw_rad(given: Any) -> float:

@@ -164,17 +164,19 @@ class CarmenLog(ScanLog):
         """Return the laser's mount from the two poses of every line; note why if it is unusable."""
         setting = f"{OFFSET_PARAM} {offset_m:g} m"
         ahead = Pose2(offset_m, 0.0, 0.0)
-        posed = [message for message in messages if message.laser is not None]
+        posed = [(Pose2(*one.robot), Pose2(*one.laser)) for one in messages if one.laser]
         if not posed:
             if offset_m:
                 note = f"the lines have no laser pose; the laser sits by the setting {setting}"
                 self.notes.append(note)
             return ahead
-        relative = [_relative(message) for message in posed]
+        relative = [
+            IDENTITY if robot == laser else robot.inverse().compose(laser) for robot, laser in posed
+        ]
         first_rad = relative[0].yaw_rad
         rows = np.array([(own.x, own.y, wrap_angle(own.yaw_rad - first_rad)) for own in relative])
         spread = np.ptp(rows, axis=0)
-        farthest_m = max(max(abs(x), abs(y)) for x, y, _ in (item.robot for item in posed))
+        farthest_m = max(max(abs(robot.x), abs(robot.y)) for robot, _ in posed)
         allowed_m = _MOUNT_SPREAD_M + _MOUNT_SPREAD_SHARE * farthest_m
         if max(spread[0], spread[1]) > allowed_m or spread[2] > _MOUNT_SPREAD_RAD:
             self.notes.append(
@@ -439,12 +441,6 @@ _MOUNT_SPREAD_M, _MOUNT_SPREAD_SHARE, _MOUNT_SPREAD_RAD = 2e-3, 4e-6, 2e-3
 _MOUNT_ZERO = 1e-9
 
 
-def _relative(message: Message) -> Pose2:
-    if message.laser is None or message.robot == message.laser:
-        return IDENTITY
-    return Pose2(*message.robot).inverse().compose(Pose2(*message.laser))
-
-
 def _no_laser(path: Path, words: Counter[bytes], skips: Skips) -> str:
     wanted = "FLASER, ROBOTLASER1, LASER_READING or Laser lines"
     if skips.total:
@@ -600,9 +596,13 @@ def write_carmen(path: str | Path, scans: Iterable[LogScan]) -> int:
 def _lines_of(logged: LogScan, last: LogScan | None, first: LaserScan) -> str:
     scan, robot = logged.scan, logged.odometry or IDENTITY
     laser = robot.compose(scan.mount)
+    # Mean forward (m/s) and turning (rad/s) speed since the last scan.
+    speed_mps, turn_rps = 0.0, 0.0
+    if last is not None and (time_s := scan.stamp_s - last.scan.stamp_s) > 0.0:
+        motion = (last.odometry or IDENTITY).inverse().compose(robot)
+        speed_mps, turn_rps = motion.x / time_s, motion.yaw_rad / time_s
     end = f"{scan.stamp_s:.9f} {_HOST} {scan.stamp_s - first.stamp_s:.6f}\n"
     ranges = _range_texts(scan)
-    speed_mps, turn_rps = _speeds(logged, last)
     odometry = f"ODOM {_pose_text(robot)} {speed_mps:.6f} {turn_rps:.6f} 0 {end}"
     if _is_forward(scan, first):
         # The robot's own numbers twice: rounding must not separate laser and robot.
@@ -646,17 +646,6 @@ def _range_texts(scan: LaserScan) -> str:
     # Formatting all at once is five times as fast.
     texts = np.where(clear, clear_text, f"%.{_RANGE_DIGITS}f").tolist()
     return " ".join(texts) % tuple(ranges[~clear].tolist())
-
-
-def _speeds(logged: LogScan, last: LogScan | None) -> tuple[float, float]:
-    """Return the mean forward (m/s) and turning (rad/s) speed since the last scan; 0 at first."""
-    if last is None or last.odometry is None or logged.odometry is None:
-        return 0.0, 0.0
-    time_s = logged.scan.stamp_s - last.scan.stamp_s
-    if time_s <= 0.0:
-        return 0.0, 0.0
-    motion = last.odometry.inverse().compose(logged.odometry)
-    return motion.x / time_s, motion.yaw_rad / time_s
 
 
 def _pose_text(pose: Pose2) -> str:

@@ -193,7 +193,10 @@ class AtomicFiles:
         """
         try:
             target = Path(os.path.realpath(path))
-            self._make_folder(target.parent)
+            missing = [part for part in target.parents if not part.exists()]
+            for folder in reversed(missing):
+                folder.mkdir(exist_ok=True)
+                self._made_folders.append(folder)
             mode = _mode_of_regular(target)
             temporary = target.parent / f".slamfusion-{secrets.token_hex(8)}.tmp"
             self._targets[temporary] = target
@@ -240,12 +243,6 @@ class AtomicFiles:
             for folder in reversed(self._made_folders):
                 with suppress(OSError):  # it holds files
                     folder.rmdir()
-
-    def _make_folder(self, folder: Path) -> None:
-        missing = [part for part in (folder, *folder.parents) if not part.exists()]
-        for part in reversed(missing):
-            part.mkdir(exist_ok=True)
-            self._made_folders.append(part)
 
 
 @contextmanager

@@ -231,10 +231,3 @@ def test_the_order_and_the_frames_of_the_inputs_do_not_matter() -> None:
         back = fit_motion(other.poses, found.poses)
         laid = back.transform(other.poses[:, :2])
         assert np.abs(laid - found.poses[:, :2]).max() < 0.005
-
-
-def test_the_same_paths_give_the_same_bytes() -> None:
-    truth = two_rounds()
-    inputs = [noisy(truth, seed) for seed in range(3)]
-    first, second = fuse(*inputs), fuse(*inputs)
-    assert first.poses.tobytes() == second.poses.tobytes()

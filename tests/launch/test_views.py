@@ -5,17 +5,15 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from typing import Any
-from xml.etree import ElementTree as ET
 
 import pytest
 import yaml
 
 from docs.generate.marks import COMMAND, PICTURE
 from docs.generate.picture import node_picture
-from docs.generate.ros import node_arrows
 from slamfusion.config import FusionNodeConfig
 from slamfusion.palette import NAMED
-from slamfusion.ros.interface import PRODUCERS, SERVICES, TOPICS
+from slamfusion.ros.interface import PRODUCERS, TOPICS
 from tests.cli.command import ROOT
 
 SCRIPTS = ROOT / "launch_scripts"
@@ -98,26 +96,6 @@ def test_foxglove_shows_our_topics_from_the_fused_frame(foxglove: dict[str, Any]
 
 def test_the_picture_of_the_nodes_is_up_to_date():
     assert PICTURE.read_text(encoding="utf-8") == node_picture(), f"run: {COMMAND}"
-
-
-def test_the_picture_of_the_nodes_has_every_topic():
-    arrows = node_arrows()
-    assert arrows["player", "producers"] == ["scan", "odom", "/tf", "/tf_static"]
-    assert arrows["producers", "fusion"] == ["NAME/map", "NAME/pose"]
-    assert {"fused/map", "fused/pose", "/tf"} < set(arrows["fusion", "users"])
-    for topic in TOPICS:
-        writers = {writer for (writer, _), names in arrows.items() if topic.name in names}
-        is_left_out = topic.needs_tf2 is False or topic.name.endswith("_updates")
-        assert writers == (set() if is_left_out else set(topic.writers)), topic.name
-    root = ET.fromstring(node_picture())  # noqa: S314  (our own)
-    kind = "{http://www.w3.org/2000/svg}"
-    words = [item.text or "" for item in root.iter(f"{kind}text")]
-    shown = {word for line in words for word in line.split(", ")}
-    assert {name for names in arrows.values() for name in names} <= shown
-    assert {*PRODUCERS, *(service.name for service in SERVICES)} <= shown
-    # An arrow for each pair, and one each from another SLAM and from a saved map.
-    lines = [item for item in root.iter(f"{kind}path") if item.get("class") == "line"]
-    assert len(lines) == len(arrows) + 2
 
 
 def test_every_panel_of_the_foxglove_layout_is_placed(foxglove: dict[str, Any]):
