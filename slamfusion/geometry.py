@@ -27,6 +27,9 @@ F32: TypeAlias = npt.NDArray[np.float32]
 F64: TypeAlias = npt.NDArray[np.float64]
 T = TypeVar("T", bound=np.generic)
 
+# Angles from which on it pays to look first whether any is to be wrapped.
+MANY_ANGLES = 512
+
 
 def wrap_angle(angle_rad: float) -> float:
     """Wrap an angle to [-pi, pi)."""
@@ -35,7 +38,11 @@ def wrap_angle(angle_rad: float) -> float:
 
 def wrap_angles(angles_rad: npt.ArrayLike) -> F64:
     """Wrap angles to [-pi, pi), any shape."""
-    return np.asarray((np.asarray(angles_rad, np.float64) + math.pi) % (2.0 * math.pi) - math.pi)
+    turned = np.asarray(np.asarray(angles_rad, np.float64) + math.pi)
+    # Remainders of many angles take several times as long as finding that there is none to take.
+    if turned.size < MANY_ANGLES or not (turned.min() >= 0.0 and turned.max() < math.tau):
+        turned = turned % math.tau
+    return np.asarray(turned - math.pi)
 
 
 def compose_poses(a: npt.ArrayLike, b: npt.ArrayLike) -> F64:
