@@ -43,6 +43,7 @@ from slamfusion.evidence.recommendation import LEAST_DIFFERENCE
 from slamfusion.fusion.live import Evidence
 from slamfusion.geometry import B8, F64, Pose2, fit_motion, moved_poses, row_of, with_levers
 from slamfusion.io import LogScan
+from slamfusion.io.files import return_freed_memory
 from slamfusion.jobs.fused_path import fuse_weighed_paths
 from slamfusion.jobs.outputs import DRAWN, FUSED
 from slamfusion.trajectory import SAME_STAMP_S, Trajectory, nearest_stamps
@@ -234,7 +235,8 @@ class LiveDrive:
     # -- where the robot is, from any thread -------------------------------------------------------
 
     def take(self, solution: DriveSolution) -> None:
-        """Locate poses by a solution from now on."""
+        """Locate poses by a solution from now on; return what it took to the system."""
+        return_freed_memory()
         path = solution.path
         with self._lock:
             self._walls = self._grown = solution.walls
@@ -350,6 +352,8 @@ class LiveDrive:
                 evidence = score_paths(scans, {**paths, FUSED: path}, self._device)
         except SlamFusionError:
             return None  # the paths have no scan in common yet
+        if last is None:
+            return_freed_memory()  # half of what all scans took lies in holes by now
         contradicted = _contradicted(evidence)
         self._doubts = _doubts(evidence, contradicted)
         own_lattice = self._lattice or Lattice(resolution or 0.05, Pose2())

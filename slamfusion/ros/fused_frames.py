@@ -19,7 +19,6 @@ from slamfusion.fusion.live.driving import OdomFrame
 from slamfusion.fusion.live.session import FusionState
 from slamfusion.geometry import Pose2
 from slamfusion.io import LogScan
-from slamfusion.io.files import return_freed_memory
 from slamfusion.io.transforms import TransformError
 from slamfusion.jobs.live_drive import DriveSolution, LiveDrive, Pace
 from slamfusion.ros import messages, qos
@@ -126,8 +125,6 @@ class DriveInput:
             resolution=state.resolution if settings.draw else None,
         )
         self._pace.done(depth, began_s, time.monotonic())
-        # Half of the memory of a solution lies in holes by now.
-        return_freed_memory()
         if solution is None:
             return
         self.solution = solution
