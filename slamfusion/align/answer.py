@@ -35,7 +35,7 @@ from slamfusion.align.hypotheses import (
 from slamfusion.align.pair import Pair
 from slamfusion.align.records import Alignment, RunnerUp
 from slamfusion.align.refine import climbed, narrow_fits, refine
-from slamfusion.align.scores import count_met, rank
+from slamfusion.align.scores import SCORED_POINTS, count_met, rank
 from slamfusion.align.search import SearchResult, meeting_cells, prior_within
 from slamfusion.config import AlignConfig
 from slamfusion.geometry import F64, Pose2, wrap_angle
@@ -44,7 +44,6 @@ from slamfusion.geometry import F64, Pose2, wrap_angle
 BENT_MATCH, BENT_SCALES = 0.45, (24.0,)
 # Tolerances of a match and of two clashes, metres, with a minimum in cells for coarse maps.
 TOLERANCES = ((0.15, 1.5), (1.0, 5.0), (0.4, 3.0))
-MEASURED_POINTS = 4096
 
 
 def conclude(
@@ -214,7 +213,7 @@ def measure(pair: Pair, motion: F64) -> dict[str, float]:
     size = pair.resolution
     limits2 = [int(max(metres / size, least) ** 2 + 1e-9) for metres, least in TOLERANCES]
     samples = [
-        spread_sample(own.wall_points, MEASURED_POINTS) for own in (pair.moving, pair.reference)
+        spread_sample(own.wall_points, SCORED_POINTS) for own in (pair.moving, pair.reference)
     ]
     counts = count_met(pair, motion[None], samples, limits2)
     _, known, match, _, _, _, *clash = (
