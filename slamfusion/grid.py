@@ -236,9 +236,10 @@ class OccupancyGrid:
         """Columns of cells."""
         return int(self.cells.shape[1])
 
-    def classified(self, thresholds: NormalizeConfig) -> OccupancyGrid:
-        """Return this map with classes as its cells: -1 unknown, 0 free, 1 occupied."""
-        return replace(self, cells=trinary_cells(self.cells, thresholds))
+    def classified(self, thresholds: NormalizeConfig) -> ClassifiedGrid:
+        """Return this map with classes as its cells."""
+        cells = trinary_cells(self.cells, thresholds)
+        return ClassifiedGrid(cells, self.resolution, self.origin, self.name)
 
     def with_name(self, name: str) -> OccupancyGrid:
         """Return the same grid under another name."""
@@ -259,7 +260,7 @@ class OccupancyGrid:
             return self
         cells = box.cut(self.cells, whole, UNKNOWN)
         origin = box_origin(self.origin, self.resolution, box)
-        return OccupancyGrid(cells, self.resolution, origin, self.name)
+        return replace(self, cells=cells, origin=origin)
 
     def cell_centres(self, rows: I64, cols: I64) -> F64:
         """Return the map-frame positions (N, 2), metres, of the centres of cells."""
@@ -274,3 +275,12 @@ class OccupancyGrid:
         own = self.origin.inverse().transform(points) / self.resolution
         index = np.floor(own).astype(np.int64)
         return index[..., 1], index[..., 0]
+
+
+@dataclass(frozen=True, eq=False)
+class ClassifiedGrid(OccupancyGrid):
+    """A map whose cells are classes: -1 unknown, 0 free, 1 occupied."""
+
+    def classified(self, thresholds: NormalizeConfig) -> ClassifiedGrid:  # noqa: ARG002
+        """Return this map: its cells are no percentages to be classified again."""
+        return self

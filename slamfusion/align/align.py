@@ -76,7 +76,10 @@ def align_each(
     config: FusionConfig,
     device: ComputeDevice,
 ) -> Iterator[Alignment]:
-    """Yield the alignment of each grid to a reference, see ``align_grids``: two small at a time."""
+    """Align each grid to a reference, see ``align_grids``; yield the results in order.
+
+    Two are aligned at once where all maps are small.
+    """
     is_small = all(grid.cells.size <= KEPT_CELLS for grid in (reference, *grids))
     with ThreadPoolExecutor(THREADS if is_small else 1) as threads:
         yield from threads.map(lambda grid: align_grids(reference, grid, config, device), grids)

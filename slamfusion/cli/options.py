@@ -231,7 +231,7 @@ truth_scale = scale(
 def common(function: F) -> F:
     """Give a command ``--json``, ``-v`` and ``--debug``; check its paths.
 
-    These, and the value of ``--save-results``, are in ``output.settings``.
+    These, and the value of ``--save-results`` (``results_option``), are in ``output.settings``.
     """
 
     @functools.wraps(function)

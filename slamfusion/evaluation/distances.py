@@ -19,7 +19,7 @@ import scipy
 from slamfusion.config import NormalizeConfig
 from slamfusion.errors import MapFileError, shown
 from slamfusion.geometry import F64, I8, Pose2
-from slamfusion.grid import IDENTITY, UNKNOWN, CellBox, OccupancyGrid
+from slamfusion.grid import IDENTITY, UNKNOWN, CellBox, ClassifiedGrid, OccupancyGrid
 from slamfusion.io.files import read_small
 from slamfusion.io.yaml_file import read_yaml
 
@@ -63,7 +63,7 @@ def sample_on_lattice(
     return sampled
 
 
-def wall_centres(grid: OccupancyGrid, transform: Pose2 = IDENTITY) -> F64:
+def wall_centres(grid: ClassifiedGrid, transform: Pose2 = IDENTITY) -> F64:
     """Return the centres (N, 2) of the walls of a classified map, moved by a motion, metres."""
     rows, cols = np.nonzero(grid.cells == 1)
     return transform.transform(grid.cell_centres(rows, cols))

@@ -16,7 +16,7 @@ import scipy
 
 from slamfusion.evaluation.distances import wall_centres
 from slamfusion.geometry import B8, F64, I8, Pose2
-from slamfusion.grid import UNKNOWN, OccupancyGrid
+from slamfusion.grid import UNKNOWN, ClassifiedGrid
 
 # A wall exactly the tolerance away counts, whatever the rounding of the poses.
 _TOLERANCE_SLACK_M = 1e-6
@@ -136,7 +136,7 @@ def face_cells(classes: I8) -> B8:
     return np.asarray((classes == _WALL) & beside)
 
 
-def compare_faces(grid: OccupancyGrid, truth: OccupancyGrid, transform: Pose2) -> WallFaces:
+def compare_faces(grid: ClassifiedGrid, truth: ClassifiedGrid, transform: Pose2) -> WallFaces:
     """Compare the faces of a map's walls with the true ones, both classified.
 
     Faces are found on each map's own lattice; distances lie between the centres of their cells.
@@ -153,7 +153,7 @@ def compare_faces(grid: OccupancyGrid, truth: OccupancyGrid, transform: Pose2) -
     )
 
 
-def wall_thickness(grid: OccupancyGrid) -> WallThickness | None:
+def wall_thickness(grid: ClassifiedGrid) -> WallThickness | None:
     """Measure how thick the walls of a classified map are; None without a face.
 
     Through each face cell the occupied cells in a row are counted along rows, columns and both
@@ -176,7 +176,7 @@ def wall_thickness(grid: OccupancyGrid) -> WallThickness | None:
 
 
 def outside_area(
-    grid: OccupancyGrid, truth: OccupancyGrid, transform: Pose2, *, margin_m: float
+    grid: ClassifiedGrid, truth: ClassifiedGrid, transform: Pose2, *, margin_m: float
 ) -> float:
     """Return the area that a map knows outside of the truth's outline, square metres.
 

@@ -40,8 +40,8 @@ Row = tuple[float, ...]
 
 # Scans that are placed and counted at once.
 PART = 256
-# A cell is a wall if more than one of this number of beams that reached it ended in it, and the
-# second number at least; a free one was crossed by at least the third number of beams.
+# A cell is a wall if more than one in BEAMS_PER_HIT of the beams that reached it ended in it, and
+# at least LEAST_HITS did. A free cell was crossed by at least LEAST_VISITS beams.
 BEAMS_PER_HIT, LEAST_HITS, LEAST_VISITS = 4, 2, 3
 # A beam that continues beyond a wall for more than this is cut off there, metres.
 BEYOND_M = 0.2

@@ -59,8 +59,10 @@ def path_gaps(evidence: PathEvidence, name: str, other: str) -> F64:
     if known is not None:
         return known
     moving, still = (evidence.scores[one].poses[evidence.is_judged] for one in (name, other))
-    gaps = evidence.gaps[name, other] = _aligned(moving, still) - still
+    gaps = _aligned(moving, still) - still
     gaps[:, 2] = wrap_angles(gaps[:, 2])
+    gaps.flags.writeable = False
+    evidence.gaps[name, other] = gaps
     return gaps
 
 

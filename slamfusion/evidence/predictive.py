@@ -49,10 +49,10 @@ SIGNIFICANT, SURE = 0.05, 0.01
 
 @dataclass(frozen=True)
 class Comparison:
-    """How one path compares with another; of a refined path with the one before."""
+    """How the scans compare one path with another."""
 
     verdict: Literal["better", "worse", "cannot tell"]
-    """What the scans say of the first (refined) path against the second, the one before."""
+    """What the scans say of the first path against the second."""
     difference: float
     """Score of the first path less that of the second, log-likelihood of a hit."""
     difference_95: tuple[float, float]
@@ -170,8 +170,8 @@ class PathEvidence:
     Attributes:
         is_judged: (N,) bool, scans that every path has a pose for.
         scores: of the paths, by name, in the order given.
-        device: what computed them, and computes what is asked of them.
-        gaps: of two paths, as far as ``path_gaps`` was asked for them.
+        device: computed the scores, and answers further questions to the evidence.
+        gaps: results of ``path_gaps``, by the names of both paths.
     """
 
     scans: JudgedScans

@@ -190,6 +190,7 @@ class Refinement:
     start: RefinementStart
     """What it was sought from: the path made of those of the SLAMs, or the odometry."""
     comparison: Comparison = field(metadata=FLAT)
+    """Of the refined path, the first, with the given one."""
 
 
 def refine_borne_out(

@@ -74,7 +74,8 @@ class Comparison:
     p_holm: float | None = math.nan
     """The same after Holm's correction for every two of several results."""
     p_rank: float | None = math.nan
-    """P-value of Wilcoxon's signed-rank test, or of Mann and Whitney's; not corrected."""
+    """P-value of Wilcoxon's signed-rank test, or of Mann and Whitney's; not corrected. Few values
+    cannot make it small: 0.06 at least of five pairs."""
     p_pooled: float | None = math.nan
     """P-value of Student's t-test of unpaired values with one variance, the test of [F16]."""
     better: str | None = None

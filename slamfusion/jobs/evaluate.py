@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from slamfusion.align.align import align_each
-from slamfusion.align.records import FusionResult
+from slamfusion.align.records import Alignment, FusionResult
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
 from slamfusion.evaluation.distances import (
@@ -130,25 +130,27 @@ def evaluate_maps(
     device = inputs.device_for(config, device)
     search = replace(config.fusion, align=replace(config.fusion.align, step=None))
     plans: list[AlignedPlan] = []
-    if scale is not None:  # of one place, so all at the scale of the last map that the plan fits
+    if scale is not None:
+        # The maps show one place: the scale at which the plan fits one holds for those before it.
         searched = replace(config, fusion=search)
         for grid in reversed(grids):
             plan = align_plan(grid, true_grid, searched, device, scale=scale)
             if plan.alignment.accepted:
                 scale = plan.plan.resolution, plan.plan.resolution
             plans.insert(0, plan)
-    is_searched = align and not plans
-    found = align_each(true_grid, grids if is_searched else (), search, device)
+    truths = [true_grid] * len(grids)
+    found: Iterable[Alignment | None] = [None] * len(grids)
+    if plans:
+        truths, found = [plan.plan for plan in plans], [plan.of_map for plan in plans]
+    elif align:
+        found = align_each(true_grid, grids, search, device)
     evaluations = []
-    for done, grid in enumerate(grids):
+    for done, (grid, shown, alignment) in enumerate(zip(grids, truths, found, strict=True)):
         if progress is not None:
             progress("evaluate", done, len(grids))
-        alignment, truth = next(found, None), true_grid
-        if plans:
-            alignment, truth = plans[done].of_map, plans[done].plan
         error = compare_to_truth(
             grid,
-            truth,
+            shown,
             Pose2() if alignment is None else alignment.transform,
             config,
             is_plan=bool(plans),

@@ -356,7 +356,7 @@ def write_fusion_report(
     sections.append(fusion_report.alignment_section(result))
     sections.append(fusion_report.statistics_section(result, config))
     banner = fusion_report.fusion_banner(result, failure)
-    facts = fusion_report.fusion_facts(result, fused.evaluations)
+    facts = fusion_report.saved_maps_facts(result, fused.evaluations)
     report = page.Page("SLAMfusion report", banner, facts, sections, config, result.device)
     return page.write_page(report, directory)
 

@@ -316,8 +316,9 @@ def write_slam_report(
     trajectory, odometry = run.trajectory, run.odometry
     grid = run.grid.classified(config.fusion.normalize)
     # A resumed run's log may only go on: then its odometry cannot start where the path does.
-    if result.resumed_from is not None and odometry is not None:
-        odometry = None if odometry.stamps_s[0] > trajectory.stamps_s[0] else odometry
+    if odometry is not None and result.resumed_from is not None:
+        starts_later = odometry.stamps_s[0] > trajectory.stamps_s[0]
+        odometry = None if starts_later else odometry
     pictures = [
         maps.input_picture(grid),
         *paths.path_pictures(

@@ -1,4 +1,4 @@
-"""The record of a run, which is also its JSON document, and its files."""
+"""The record of a run, which is also its JSON document, its files, and the maps given to it."""
 
 from __future__ import annotations
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from slamfusion.evaluation.measured import MeasuredPath
 from slamfusion.fusion.path_check import PATH_GAP_M
 from slamfusion.geometry import Pose2
-from slamfusion.grid import OccupancyGrid
+from slamfusion.grid import ClassifiedGrid
 from slamfusion.jobs.run_files import LogRun
 from slamfusion.palette import NAMED, Rgb
 from slamfusion.report import fusion_report, maps, page, paths
@@ -63,7 +63,7 @@ def run_page(run: LogRun) -> page.Page:
     return page.Page("SLAMfusion run", _banner(run), facts, sections, config, run.made_with.device)
 
 
-def _classified(run: LogRun) -> list[OccupancyGrid]:
+def _classified(run: LogRun) -> list[ClassifiedGrid]:
     return [grid.classified(run.made_with.config.fusion.normalize) for grid in run.grids]
 
 
@@ -106,7 +106,7 @@ def _facts(run: LogRun, measured: Sequence[MeasuredPath]) -> list[page.Fact]:
         length = f"{item.run.path_length_m:.0f} m in {item.run.duration_s:.0f} s"
         facts.append(page.Fact(length, f"drive, {item.run.scans} scans"))
     if run.fusion.result is not None:
-        facts += fusion_report.vote_facts(run.fusion.result, len(run.failed))
+        facts += fusion_report.fusion_facts(run.fusion.result, len(run.failed))
     if run.path_gaps:
         widest = max(gap.median_m for gap in run.path_gaps)
         what = "between the paths farthest apart in the fused map (median)"

@@ -26,7 +26,7 @@ from slamfusion import palette
 from slamfusion.config import PICTURE_FORMS
 from slamfusion.errors import SlamFusionError
 from slamfusion.geometry import B8, F64, I8, U8, Pose2
-from slamfusion.grid import CellBox, OccupancyGrid, box_origin
+from slamfusion.grid import CellBox, ClassifiedGrid, OccupancyGrid, box_origin
 
 # Cells as -1 unknown, 0 free, 1 wall.
 Classes = I8
@@ -320,7 +320,7 @@ def place_extent(poses: F64, grid: OccupancyGrid | None) -> Bbox:
     return grown(box_of(poses), cells_extent(box.shape, grid.resolution, corner))
 
 
-def draw_grid(axes: Axes, grid: OccupancyGrid | None) -> None:
+def draw_grid(axes: Axes, grid: ClassifiedGrid | None) -> None:
     """Draw a classified map, if there is one, in its frame, coloured as by ``maps.map_picture``."""
     if grid is None:
         return

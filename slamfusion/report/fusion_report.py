@@ -55,7 +55,7 @@ def _weak(result: FusionResult) -> list[tuple[str, str]]:
     ]
 
 
-def vote_facts(result: FusionResult, failed: int = 0) -> list[page.Fact]:
+def fusion_facts(result: FusionResult, failed: int = 0) -> list[page.Fact]:
     """Return how many maps, without copies, were fused of all and of the failed ones."""
     total, fused = len(result.inputs) - len(result.copies) + failed, len(result.accepted)
     area = float(np.count_nonzero(result.fused.cells != -1)) * result.fused.resolution**2
@@ -70,9 +70,9 @@ def vote_facts(result: FusionResult, failed: int = 0) -> list[page.Fact]:
     return facts
 
 
-def fusion_facts(result: FusionResult, evaluations: Sequence[MapError]) -> list[page.Fact]:
+def saved_maps_facts(result: FusionResult, evaluations: Sequence[MapError]) -> list[page.Fact]:
     """Return the numbers at the top of the report of a fusion of saved maps."""
-    facts = vote_facts(result)
+    facts = fusion_facts(result)
     facts += [
         page.Fact(f"{evaluation.error:.2f}", "error of the fused map [F16]")
         for evaluation in evaluations

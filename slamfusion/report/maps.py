@@ -20,7 +20,7 @@ from slamfusion.evaluation.doubled_walls import doubled_wall_share
 from slamfusion.evaluation.measured import Figure as Measure
 from slamfusion.evaluation.measured import face_figures, shown_figures
 from slamfusion.geometry import B8, F64, U8, Pose2
-from slamfusion.grid import CellBox, OccupancyGrid, box_origin, known_box
+from slamfusion.grid import CellBox, ClassifiedGrid, OccupancyGrid, box_origin, known_box
 from slamfusion.report import canvas
 from slamfusion.report.page import Picture, Section, tables
 from slamfusion.web.scene import layer_name
@@ -181,7 +181,7 @@ def _cells_figure(rgb: U8, side_m: float, corner: Pose2) -> Figure:
 # --- pictures -------------------------------------------------------------------------------------
 
 
-def input_picture(grid: OccupancyGrid, rejected: str | None = None) -> Picture:
+def input_picture(grid: ClassifiedGrid, rejected: str | None = None) -> Picture:
     """Return a classified input in its frame, framed and marked if it was rejected for a reason."""
     size = f"{grid.width} x {grid.height} cells of {grid.resolution:g} m"
     figure = map_picture(grid.cells, grid.resolution, grid.origin)
@@ -199,8 +199,8 @@ def input_colours(names: Sequence[str]) -> dict[str, palette.Rgb]:
 
 
 def pair_overlay(
-    reference: OccupancyGrid,
-    moving: OccupancyGrid,
+    reference: ClassifiedGrid,
+    moving: ClassifiedGrid,
     alignment: Alignment,
     colours: Mapping[str, palette.Rgb],
 ) -> Picture | None:
@@ -240,7 +240,7 @@ def pair_overlay(
     )
 
 
-def pairs_section(grids: Sequence[OccupancyGrid], pairs: Sequence[Alignment]) -> Section:
+def pairs_section(grids: Sequence[ClassifiedGrid], pairs: Sequence[Alignment]) -> Section:
     """Return the pairs of classified maps that were tried: first overlays, then a table of all."""
     by_name = {grid.name: grid for grid in grids}
     colours = input_colours(list(by_name))
@@ -276,7 +276,7 @@ def yaw_pictures(alignments: Sequence[Alignment]) -> list[Picture]:
 
 
 def map_statistics(
-    grids: Sequence[OccupancyGrid], doubled: Mapping[str, float] = MappingProxyType({})
+    grids: Sequence[ClassifiedGrid], doubled: Mapping[str, float] = MappingProxyType({})
 ) -> Markup:
     """Return classified maps in numbers; ``doubled``: known shares of doubled walls."""
     rows: list[Mapping[str, Any]] = []

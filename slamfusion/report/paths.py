@@ -18,7 +18,7 @@ from slamfusion.evidence.parting import PART_M, path_gap_m
 from slamfusion.evidence.predictive import PathEvidence
 from slamfusion.evidence.recommendation import Recommendation
 from slamfusion.geometry import F64, compose_poses
-from slamfusion.grid import OccupancyGrid
+from slamfusion.grid import ClassifiedGrid
 from slamfusion.palette import DISAGREEMENT_RGB, NAMED, Rgb, colours_of
 from slamfusion.report import canvas
 from slamfusion.report.page import Picture, Section, tables
@@ -47,7 +47,7 @@ def laid_on_start(odometry: Trajectory, path: Trajectory) -> Trajectory:
 
 
 def path_picture(
-    trajectory: Trajectory, *, grid: OccupancyGrid | None = None, values: F64 | None = None
+    trajectory: Trajectory, *, grid: ClassifiedGrid | None = None, values: F64 | None = None
 ) -> Figure:
     """Draw a path over its map, coloured by time or by an error of each pose, (N,) float64, m."""
     poses, span = trajectory.poses, _ERROR_SPAN
@@ -108,7 +108,7 @@ def paths_picture(
     marked: Trajectory,
     *,
     others: Sequence[Trajectory] = (),
-    grid: OccupancyGrid | None = None,
+    grid: ClassifiedGrid | None = None,
 ) -> Figure:
     """Draw several paths of one drive in one frame over each other.
 
@@ -162,7 +162,7 @@ def _others_rgb(name: str) -> Rgb:
 def path_pictures(
     trajectory: Trajectory,
     *,
-    grid: OccupancyGrid | None = None,
+    grid: ClassifiedGrid | None = None,
     errors: TrajectoryErrors | None = None,
     truth: Trajectory | None = None,
     odometry: Trajectory | None = None,
@@ -244,7 +244,9 @@ def paths_over_truth(
     )
 
 
-def closures_picture(path: Trajectory, closures: Sequence[Closure], grid: OccupancyGrid) -> Picture:
+def closures_picture(
+    path: Trajectory, closures: Sequence[Closure], grid: ClassifiedGrid
+) -> Picture:
     """Draw a path, a dot for each closure (at least one), and a line to the pose that it implies.
 
     Times beyond the path's count as its ends.

@@ -10,7 +10,7 @@ import numpy as np
 from slamfusion.config import NormalizeConfig
 from slamfusion.evaluation.map_error import compare_to_truth
 from slamfusion.geometry import Pose2
-from slamfusion.grid import OccupancyGrid
+from slamfusion.grid import ClassifiedGrid
 from slamfusion.palette import NAMED
 from slamfusion.report.maps import error_section, input_colours, map_statistics, pair_overlay
 from tests.report.drawn import alignment, room
@@ -19,7 +19,7 @@ NORMALIZE = NormalizeConfig()
 COLOURS = input_colours(["a", "b"])
 
 
-def shown(name: str, seed: int) -> OccupancyGrid:
+def shown(name: str, seed: int) -> ClassifiedGrid:
     return room(name, seed).classified(NORMALIZE)
 
 
@@ -29,7 +29,7 @@ def test_maps_too_far_apart_to_be_drawn_have_no_overlay() -> None:
 
 
 def test_an_unknown_map_has_no_overlay() -> None:
-    unknown = replace(room("b", 2), cells=np.full((5, 5), -1, dtype=np.int8))
+    unknown = replace(shown("b", 2), cells=np.full((5, 5), -1, dtype=np.int8))
     found = alignment("a", "b", accepted=False)
     assert pair_overlay(shown("a", 1), unknown, found, COLOURS) is None
 
