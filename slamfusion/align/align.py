@@ -63,8 +63,7 @@ def align_grids(
     features = []
     for grid in (reference, moving):
         # The last small ones are kept: one truth has many maps.
-        cells = grid.cells.size * (grid.resolution / resolution) ** 2
-        make = _kept if cells <= KEPT_CELLS else _kept.__wrapped__
+        make = _kept if _is_small(grid, resolution) else _kept.__wrapped__
         with MAKING:
             features.append(make(grid, resolution, config.normalize, device))
     return align_pair(Pair(*features), config.align, start)
@@ -80,9 +79,17 @@ def align_each(
 
     Two are aligned at once where all maps are small.
     """
-    is_small = all(grid.cells.size <= KEPT_CELLS for grid in (reference, *grids))
+    is_small = all(
+        _is_small(one, common_resolution([reference, grid], config.normalize))
+        for grid in grids
+        for one in (reference, grid)
+    )
     with ThreadPoolExecutor(THREADS if is_small else 1) as threads:
         yield from threads.map(lambda grid: align_grids(reference, grid, config, device), grids)
+
+
+def _is_small(grid: OccupancyGrid, resolution: float) -> bool:
+    return grid.cells.size * (grid.resolution / resolution) ** 2 <= KEPT_CELLS
 
 
 # One reference, and a map of each thread of ``align_each``.

@@ -166,7 +166,8 @@ class GridFeatures:
 
     def release(self) -> None:
         """Release what takes memory; it is computed again at next use."""
-        self._made = {key: made for key, made in self._made.items() if key[0] in SMALL}
+        # A copy, since another thread may be making more of this map.
+        self._made = {key: made for key, made in self._made.copy().items() if key[0] in SMALL}
         self.__dict__.pop("cells", None)
         if self._memory is not None:
             self._memory.forget(self)

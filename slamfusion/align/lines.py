@@ -86,7 +86,9 @@ class PieceLines:
         is_near = is_on & is_on.T
         # And the neighbours, found by their squares, with a margin of squares without a piece.
         col, row = (self.squares - self.squares.min(axis=0, initial=0) + apart).T
-        piece_at = np.full((col.max(initial=0) + apart + 1, row.max(initial=0) + apart + 1), -1)
+        piece_at = np.full(
+            (col.max(initial=0) + apart + 1, row.max(initial=0) + apart + 1), -1, np.int32
+        )
         piece_at[col, row] = np.arange(count)
         steps = np.arange(1 - apart, apart)
         others = piece_at[col[:, None, None] + steps[:, None], row[:, None, None] + steps]

@@ -26,8 +26,8 @@ ALIGNED_CELLS = 3000
 # To spare memory copies are coarser, down to this number of cells together, up to this cell size in
 # metres, at which walls of a building are still separate.
 SPARING_CELLS, SPARING_CELL_M = 2**27, 0.15
-# Maps that keep their fields with any amount of memory: a usual job.
-LEAST_KEPT = 3
+# Maps that keep their fields with any amount of memory: of two pairs that are aligned at once.
+LEAST_KEPT = 4
 # Rows of blocks pooled at once.
 POOLED_ROWS = 16
 

@@ -39,11 +39,12 @@ def command(config: RunConfig) -> None:
         tests = found.self_test
         failed = [test for test in tests if not test.passed]
         if failed:
+            where = found.device or "no device"
             print_table(
                 ("failed self test ",),
                 [[test.name] for test in failed],
                 notes=[test.detail for test in failed],
-                title=f"{len(failed)} of {len(tests)} self tests failed on {found.device}",
+                title=f"{len(failed)} of {len(tests)} self tests failed on {where}",
             )
         else:
             print(f"kernels: all {len(tests)} self tests passed on {found.device}")

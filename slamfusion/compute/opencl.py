@@ -85,7 +85,7 @@ class OpenCLArray(Generic[Scalar]):
         return math.prod(self.shape)
 
     def __getitem__(self, rows: slice, /) -> OpenCLArray[Scalar]:
-        """Return the first rows, ``array[:n]``, in the same memory."""
+        """Return the first rows, ``array[:n]`` with n from 0, in the same memory."""
         return OpenCLArray(self.buffer, (rows.stop, *self.shape[1:]), self.dtype)
 
 
@@ -124,6 +124,7 @@ class OpenCLDevice(ComputeDevice):
         # The kernel objects of each thread by name: they hold the arguments of a launch.
         self._kernels = threading.local()
         self._tables: dict[bytes, OpenCLArray[Any]] = {}
+        self._tables_lock = threading.Lock()
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle as the wanted device; see ``shared_device``."""
@@ -149,7 +150,8 @@ class OpenCLDevice(ComputeDevice):
     def download(self, handle: DeviceArray[Scalar]) -> npt.NDArray[Scalar]:
         """Bring an array back."""
         out = np.empty(handle.shape, dtype=handle.dtype)
-        cl.enqueue_copy(self.queue, out, self._buffer(handle))
+        if out.size:
+            cl.enqueue_copy(self.queue, out, self._buffer(handle))
         return out
 
     def empty(self, shape: tuple[int, ...], dtype: npt.DTypeLike) -> OpenCLArray[Any]:
@@ -224,7 +226,8 @@ class OpenCLDevice(ComputeDevice):
         item = array.dtype.itemsize
         pattern = np.array([value], dtype=array.dtype)
         size = (array.size - first) * item
-        cl.enqueue_fill_buffer(self.queue, array.buffer, pattern, first * item, size)
+        if size:
+            cl.enqueue_fill_buffer(self.queue, array.buffer, pattern, first * item, size)
 
     def cleared(self, shape: tuple[int, ...], dtype: npt.DTypeLike) -> OpenCLArray[Any]:
         """Reserve an array of zeros."""
@@ -235,11 +238,12 @@ class OpenCLDevice(ComputeDevice):
     def table(self, array: npt.NDArray[Scalar]) -> OpenCLArray[Scalar]:
         """Upload a small constant table once."""
         key = array.tobytes()
-        found = self._tables.pop(key, None)
-        self._tables[key] = self.upload(array) if found is None else found
-        if len(self._tables) > MOST_TABLES:
-            self._tables.pop(next(iter(self._tables)), None)
-        return self._tables[key]
+        with self._tables_lock:
+            found = self._tables.pop(key, None)
+            table = self._tables[key] = self.upload(array) if found is None else found
+            if len(self._tables) > MOST_TABLES:
+                self._tables.pop(next(iter(self._tables)))
+        return table
 
     # -- launching -----------------------------------------------------------------------------
 

@@ -30,8 +30,8 @@ from slamfusion.errors import DeviceError
 
 LOG = logging.getLogger(__name__)
 SWITCH, OFF = "SLAMFUSION_PATCH_POCL", "0"
-# The library that was examined: ``pocl-binary-distribution``, and what its platform says.
-WHEEL, RELEASE = "3.0", "PoCL 3.0-rc2"
+# The release of ``pocl-binary-distribution`` that was examined.
+WHEEL = "3.0"
 # Its function ``pocl_get_llvm_cpu_name``, which copies the name to memory that the caller frees.
 FUNCTION_BYTES = 83
 FUNCTION_SHA256 = "fd587da3800019b6c70376351f2227b8fea5f15daff803329977ee54951655b6"
@@ -40,6 +40,7 @@ UNKNOWN = b"generic"
 PROCESSORS = {
     "skylake-avx512": "avx512f avx512dq avx512cd avx512bw avx512vl avx2 fma bmi2 adx clflushopt",
     "haswell": "avx2 fma bmi1 bmi2 f16c movbe",
+    "sandybridge": "avx popcnt sse4_2",
     "x86-64": "",
 }
 INSTEAD = (
@@ -100,8 +101,12 @@ def name_processor() -> PoclState | None:
 
 def is_refused(device: Any) -> bool:
     """Return whether a device is one of the wheel's PoCL, and that cannot build for it."""
-    state = name_processor()
-    return state is not None and state.state == "refused" and RELEASE in device.platform.version
+    state, path = name_processor(), wheel_library()
+    if path is None or state is None or state.state != "refused":
+        return False
+    # As "OpenCL 3.0 PoCL 3.0-rc2  Linux, ...", of which the library has the start.
+    release = device.platform.version.partition("  ")[0] + "  "
+    return release.encode() in path.read_bytes()
 
 
 def _replace(function: Any) -> str:

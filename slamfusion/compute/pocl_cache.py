@@ -11,6 +11,7 @@ from __future__ import annotations
 import atexit
 import logging
 import os
+import shutil
 import tempfile
 from functools import cache
 from pathlib import Path
@@ -36,25 +37,22 @@ def find_cache() -> str:
     else:
         caches = Path("/tmp")  # noqa: S108 - PoCL's own choice
     own = Path(os.environ.get(FOLDER) or caches / "pocl" / "kcache")
-    folder = own
-    try:
-        for folder in (own, caches):
-            _reserve(folder)
-    except OSError as error:
-        problem = f"PoCL's cache {folder} cannot be written ({error.strerror})"
-    else:
+    reasons = {name: _why_not(folder) for name, folder in ((FOLDER, own), (CACHES, caches))}
+    if not any(reasons.values()):
         return ""
+    folder, reason = (own, reasons[FOLDER]) if reasons[FOLDER] else (caches, reasons[CACHES])
+    problem = f"PoCL's cache {folder} cannot be written ({reason})"
     try:
-        temporary = tempfile.TemporaryDirectory(prefix="slamfusion-pocl-")
+        temporary = Path(tempfile.mkdtemp(prefix="slamfusion-pocl-"))
     except OSError as error:
         return f"{problem}, and no temporary folder either ({error.strerror})"
-    atexit.register(temporary.cleanup)
-    try:
-        _reserve(Path(temporary.name))
-    except OSError as error:
-        return f"{problem}, and {Path(temporary.name).parent} neither ({error.strerror})"
-    # Processes that are started share it.
-    os.environ[FOLDER] = os.environ[CACHES] = temporary.name
+    atexit.register(_remove, temporary, os.getpid())
+    if reason := _why_not(temporary):
+        return f"{problem}, and {temporary.parent} neither ({reason})"
+    # Processes that are started share it; pyopencl's own files move only where they must.
+    os.environ[FOLDER] = str(temporary)
+    if reasons[CACHES]:
+        os.environ[CACHES] = str(temporary)
     LOG.warning(
         "%s: kernels are built for this process only; free some space there, or let %s name "
         "another folder", problem, FOLDER,
@@ -62,8 +60,18 @@ def find_cache() -> str:
     return ""
 
 
-def _reserve(folder: Path) -> None:
-    """Create a folder; OSError if kernels cannot be stored there."""
-    folder.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryFile(dir=folder) as file:
-        os.posix_fallocate(file.fileno(), 0, ROOM_BYTES)
+def _why_not(folder: Path) -> str:
+    """Create a folder and return why kernels cannot be stored there; empty if they can."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder) as file:
+            os.posix_fallocate(file.fileno(), 0, ROOM_BYTES)
+    except OSError as error:
+        return error.strerror or str(error)
+    return ""
+
+
+def _remove(folder: Path, owner: int) -> None:
+    """Remove the folder at the end of the process that made it, not of its forks."""
+    if os.getpid() == owner:
+        shutil.rmtree(folder, ignore_errors=True)

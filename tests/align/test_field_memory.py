@@ -20,7 +20,7 @@ def maps(count: int, device: ComputeDevice) -> list[NormalizedGrid]:
     return [normalize_grid(grid, SIZE, NormalizeConfig(), device) for grid in grids]
 
 
-@pytest.mark.parametrize(("share", "kept"), [(0.0, [3, 4, 5]), (4.5 / 6, [2, 3, 4, 5])])
+@pytest.mark.parametrize(("share", "kept"), [(0.0, [2, 3, 4, 5]), (5.5 / 6, [1, 2, 3, 4, 5])])
 def test_maps_looked_at_last_keep_their_fields(
     device: ComputeDevice, share: float, kept: list[int]
 ) -> None:
