@@ -66,10 +66,9 @@ def command(
     from slamfusion.jobs.align import AlignDocument, align_maps  # noqa: PLC0415
     from slamfusion.jobs.records import Circumstances  # noqa: PLC0415
 
-    if scale is None and folder is not None:
-        raise click.UsageError("-o and --scale belong together; give both or neither")
-    if scale is not None and starts:
-        raise click.UsageError("--scale searches everywhere; leave --start out")
+    message = "-o and --scale belong together; give both or neither"
+    options.refuse(scale is None and folder is not None, message)
+    options.refuse(scale and starts, "--scale searches everywhere; leave --start out")
     device = device_for(config)
     if scale is not None:
         from slamfusion.jobs.plan import align_plan  # noqa: PLC0415

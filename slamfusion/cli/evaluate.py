@@ -100,20 +100,15 @@ def command(
 
     is_mutual = not truths and distances_path is None
     is_saved = output.settings().results_path is not None
-    for is_wrong, message in (
-        (
-            is_mutual and len(maps) < 2,
-            "give --truth MAP, --distances FILE, or more maps to compare with each other",
-        ),
-        (is_mutual and is_saved, "--save-results needs --truth MAP or --distances FILE"),
-        (not truths and (report_dir or image_path), "--report and --image need --truth MAP"),
-        (
-            scale is not None and not align,
-            "--scale searches where the maps lie on the plan; leave --no-align out",
-        ),
-    ):
-        if is_wrong:
-            raise click.UsageError(message)
+    options.refuse(
+        is_mutual and len(maps) < 2,
+        "give --truth MAP, --distances FILE, or more maps to compare with each other",
+    )
+    options.refuse(is_mutual and is_saved, "--save-results needs --truth MAP or --distances FILE")
+    is_drawn = report_dir is not None or image_path is not None
+    options.refuse(is_drawn and not truths, "--report and --image need --truth MAP")
+    message = "--scale searches where the maps lie on the plan; leave --no-align out"
+    options.refuse(scale is not None and not align, message)
     paths = [item.path for item in maps]
     if is_mutual:
         grids = load_maps(paths, config, resolution=resolution, warn=output.notice)

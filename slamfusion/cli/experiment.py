@@ -120,9 +120,8 @@ def occupancy_estimator(setup: Setup, log: Path | None, **others: Path | None) -
     from slamfusion.experiments.tinyslam import sweep_estimators  # noqa: PLC0415
     from slamfusion.jobs.inputs import LogFiles  # noqa: PLC0415
 
-    if log is None and any(path is not None for path in others.values()):
-        message = "--relations, --odometry and --reference belong to a recorded drive; give --log"
-        raise click.UsageError(message)
+    message = "--relations, --odometry and --reference belong to a recorded drive; give --log"
+    options.refuse(log is None and any(path is not None for path in others.values()), message)
     recorded = [] if log is None else [LogFiles(log, **others)]
     _check_drives(setup.config.experiment.occupancy_estimator.floors, recorded)
     return sweep_estimators(recorded, setup)
@@ -163,8 +162,8 @@ def _drive_files(text: Path) -> LogFiles:
 
 
 def _check_drives(floors: int, recorded: Sequence[LogFiles]) -> None:
-    if not recorded and not floors:
-        raise click.UsageError("nothing to run on: give --log, or --floors of at least 1")
+    message = "nothing to run on: give --log, or --floors of at least 1"
+    options.refuse(not recorded and not floors, message)
 
 
 @command.command("ground-obstacle")

@@ -34,12 +34,6 @@ def _files(out: Path, given: Mapping[str, Any]) -> list[Path]:
     ]
 
 
-def _check_workers(scheduler: str | None, processes: int | None) -> None:
-    if scheduler is not None and processes is not None:
-        message = "--scheduler and --processes: give one of them; --scheduler local:N has processes"
-        raise click.UsageError(message)
-
-
 @click.command(
     "fuse",
     cls=Command,
@@ -108,14 +102,12 @@ def command(
     from slamfusion.jobs.fuse_documents import FuseDocument  # noqa: PLC0415
     from slamfusion.jobs.records import Circumstances  # noqa: PLC0415
 
-    _check_workers(scheduler, processes)
-    config, store = (
-        options.with_starts(config, starts),
-        out if out.suffix == outputs.STORE_END else None,
-    )
-    if store is not None and (truth_path is not None or report_dir is not None):
-        message = f"--truth and --report look at the whole map, and {out} need not fit into memory"
-        raise click.UsageError(message)
+    message = "--scheduler and --processes: give one of them; --scheduler local:N has processes"
+    options.refuse(scheduler is not None and processes is not None, message)
+    config = options.with_starts(config, starts)
+    store = out if out.suffix == outputs.STORE_END else None
+    message = f"--truth and --report look at the whole map, and {out} need not fit into memory"
+    options.refuse(store and (truth_path is not None or report_dir is not None), message)
     device = device_for(config)
     try:
         with (

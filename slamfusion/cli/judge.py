@@ -91,9 +91,8 @@ def command(
     )
 
     options.check_odometry(others["odometry"], others["relations"])
-    if fused is not None and more_logs:
-        message = "--fused is of one log; with several (--log) call judge for each"
-        raise click.UsageError(message)
+    message = "--fused is of one log; with several (--log) call judge for each"
+    options.refuse(fused is not None and more_logs, message)
     logs = (log, *more_logs)
     cases = case_names(logs)
     named = [CaseFile(file.path, case) for case, file in zip(cases, logs, strict=True)]

@@ -183,10 +183,15 @@ def drive_files(judged: str, *, of_cases: bool = False) -> Callable[[F], F]:
     return decorate
 
 
+def refuse(is_wrong: object, message: str) -> None:
+    """Report options that do not go together as wrong usage."""
+    if is_wrong:
+        raise click.UsageError(message)
+
+
 def check_odometry(odometry: object, relations: object) -> None:
     """Refuse odometry of a run without the relations that it is for."""
-    if odometry and not relations:
-        raise click.UsageError("--odometry needs --relations FILE")
+    refuse(odometry and not relations, "--odometry needs --relations FILE")
 
 
 resolution = click.option(
@@ -200,9 +205,7 @@ resolution = click.option(
 def scale(text: str) -> Callable[[F], F]:
     """Give a command ``--scale``: the size that the pixels of a floor plan may have, metres."""
 
-    def sizes(_: click.Context, __: click.Parameter, value: str | None) -> PixelSizes | None:
-        if value is None:
-            return None
+    def sizes(value: str) -> PixelSizes:
         if value == "free":
             return "free"
         try:
@@ -218,7 +221,7 @@ def scale(text: str) -> Callable[[F], F]:
         " LOW:HIGH limits the size of its pixels, in metres; free: from half to twice "
         "--resolution, or 0.025 to 0.1."
     )
-    return click.option("--scale", metavar="free|LOW:HIGH", callback=sizes, help=text)
+    return click.option("--scale", metavar="free|LOW:HIGH", type=sizes, help=text)
 
 
 # Where the truth may be a floor plan.
@@ -329,21 +332,20 @@ def _override(config: RunConfig, given: Sequence[tuple[ConfigOption, Any]]) -> R
 def scheduler(tasks: str) -> Callable[[F], F]:
     """Return the option ``--scheduler`` of a command."""
 
-    def checked(_: click.Context, __: click.Parameter, where: str | None) -> str | None:
+    def checked(where: str) -> str:
         """Refuse what is no address before any work."""
-        if where is not None:
-            from slamfusion.fleet import check_address  # noqa: PLC0415
+        from slamfusion.fleet import check_address  # noqa: PLC0415
 
-            try:
-                check_address(where)
-            except ConfigError as error:
-                raise click.BadParameter(str(error)) from None
+        try:
+            check_address(where)
+        except ConfigError as error:
+            raise click.BadParameter(str(error)) from None
         return where
 
     return click.option(
         "--scheduler",
         metavar="WHERE",
-        callback=checked,
+        type=checked,
         help=f"Run {tasks} on a Dask cluster: local or local:N (N processes on this machine), or "
         "tcp://HOST:PORT or tls://HOST:PORT, a running scheduler.",
     )

@@ -185,11 +185,8 @@ def command(
                 asked,
             )
             return
-        if scheduler is not None:
-            message = (
-                "--scheduler is for several logs or seeds; the SLAMs of one log run in parallel"
-            )
-            raise click.UsageError(message)
+        message = "--scheduler is for several logs or seeds; the SLAMs of one log run in parallel"
+        options.refuse(scheduler is not None, message)
         from slamfusion.jobs.run import run_log  # noqa: PLC0415  (the SLAMs load slowly)
         from slamfusion.jobs.run_files import load_report, save_run  # noqa: PLC0415
 
@@ -331,19 +328,16 @@ OF_ONE_LOG = {
 
 def _refuse_files_of_one_log(config: RunConfig, asked: Mapping[str, Any]) -> None:
     for name, option in OF_ONE_LOG.items():
-        if asked[name]:
-            message = f"{option} belongs to one log; run each log that has such a file alone"
-            raise click.UsageError(message)
-    if config.start:
-        raise click.UsageError("--start belongs to one log; run each log that needs it alone")
+        message = f"{option} belongs to one log; run each log that has such a file alone"
+        options.refuse(asked[name], message)
+    options.refuse(config.start, "--start belongs to one log; run each log that needs it alone")
 
 
 def _inputs(logs: Sequence[Path], asked: Mapping[str, Any]) -> list[tuple[str, str, Path]]:
-    kinds = {name: option for name, option in OF_ONE_LOG.items() if name != "saved_paths"}
     return [("log", case_of(log), log) for log in logs] + [
         (option.removeprefix("--").replace("-", " "), "", asked[name])
-        for name, option in kinds.items()
-        if asked[name] is not None
+        for name, option in OF_ONE_LOG.items()
+        if isinstance(asked[name], Path)
     ]
 
 

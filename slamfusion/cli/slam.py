@@ -150,10 +150,9 @@ def _run_seeds(
     from slamfusion.jobs.map_log import map_log, save_mapped_log  # noqa: PLC0415
     from slamfusion.json_values import record_keys  # noqa: PLC0415  (NumPy loads slowly)
 
+    message = "--report, --resume and --save-state belong to one run; leave out --seeds"
     for option in ("report", "resume", "state"):
-        if asked.pop(option, None) is not None:
-            message = "--report, --resume and --save-state belong to one run; leave out --seeds"
-            raise click.UsageError(message)
+        options.refuse(asked.pop(option, None) is not None, message)
     rows = []
     saved: list[MappedLog] = []
     with progress_bar() as progress:

@@ -99,16 +99,13 @@ def command(
     paths = [found for item in estimates for found in paths_in(item)]
     relations, truths, odometry = (files[kind] for kind in ("relations", "truth", "odometry"))
     is_one = max(map(len, (paths, truths, relations))) == 1
-    for is_wrong, message in (
-        (not relations and not truths, "give --relations FILE, --truth FILE, or both"),
-        (odometry and not relations, "--odometry needs --relations FILE"),
-        (files["log"] and not odometry, "--log needs --odometry FILE, the raw odometry of the run"),
-        (map_path and not report_dir, "--map needs --report DIR, where it is drawn"),
-        (map_path and not is_one, "--map is for one path; give one EST"),
-    ):
-        if is_wrong:
-            raise click.UsageError(message)
-
+    refuse = options.refuse
+    refuse(not relations and not truths, "give --relations FILE, --truth FILE, or both")
+    options.check_odometry(odometry, relations)
+    message = "--log needs --odometry FILE, the raw odometry of the run"
+    refuse(files["log"] and not odometry, message)
+    refuse(map_path and not report_dir, "--map needs --report DIR, where it is drawn")
+    refuse(map_path and not is_one, "--map is for one path; give one EST")
     cases = shared_case_names(truths, relations)
     known = known_files(cases, **files)
     found, not_measured = measure_trajectories(place_files(cases, paths), known, config)
