@@ -32,7 +32,7 @@ from slamfusion.compute.layout import (
     FIELD_ONE,
 )
 from slamfusion.compute.wall_pieces import PointPieces
-from slamfusion.geometry import I32, I64
+from slamfusion.geometry import F64, I8, I32, I64, U8, U16
 from slamfusion.io.files import available_memory, return_freed_memory
 
 P = ParamSpec("P")
@@ -71,7 +71,7 @@ DIRECTION_CELLS, DIRECTION_BLUR, DIRECTION_REACH = 768, 2.0, 3.0
 SMOOTHING = np.array([1.0, 2.0, 3.0, 4.0, 3.0, 2.0, 1.0])
 
 
-def spread_sample(points: npt.NDArray[np.int32], most: int) -> npt.NDArray[np.int32]:
+def spread_sample(points: I32, most: int) -> I32:
     """Return at most ``most`` of the points, evenly strided through their raster order."""
     if len(points) <= most:
         return points
@@ -105,7 +105,7 @@ class Level:
     wall: DeviceArray[Any]
     free: DeviceArray[Any]
     distance2: DeviceArray[Any]
-    points: npt.NDArray[np.int32]
+    points: I32
     seen_cells: float
     device: ComputeDevice
 
@@ -117,7 +117,7 @@ class Level:
         return self.device.look_up_where(self.distance2, self.free, DISTANCE_TABLE, unseen)
 
     @cached_property
-    def host_distance2(self) -> npt.NDArray[np.uint16]:
+    def host_distance2(self) -> U16:
         """(H, W) ``distance2`` on the host."""
         return self.device.download(self.distance2)
 
@@ -195,7 +195,7 @@ class GridFeatures:
         return int(np.count_nonzero(self.grid.cells >= 0))
 
     @cached_property
-    def wall_points(self) -> npt.NDArray[np.int32]:
+    def wall_points(self) -> I32:
         """The solid wall cells, surface or not: lattice positions (N, 2) int32 in half cells."""
         return _lattice_points(self.grid.solid)
 
@@ -211,7 +211,7 @@ class GridFeatures:
         return self.device.upload(self.grid.solid)
 
     @_kept
-    def _surface(self) -> tuple[DeviceArray[Any], npt.NDArray[np.int32]]:
+    def _surface(self) -> tuple[DeviceArray[Any], I32]:
         """Return the surface walls, and their points; all solid walls where none is next to free.
 
         See ``Level``.
@@ -248,7 +248,7 @@ class GridFeatures:
         step: int,
         wall: DeviceArray[Any],
         free: DeviceArray[Any],
-        points: npt.NDArray[np.int32],
+        points: I32,
         reach: int = DISTANCE_MAX,
     ) -> Level:
         """Return the level of walls; distances are known up to ``reach``, cells."""
@@ -267,7 +267,7 @@ class GridFeatures:
         return float(likeness(sigma) @ known) / total if total > 0 else 1.0
 
     @_kept
-    def _known_at_distance(self, step: int) -> npt.NDArray[np.float64]:
+    def _known_at_distance(self, step: int) -> F64:
         """Return (4097,) the known cells of a level by squared distance to a wall."""
         level = self.level(step)
         sums = self.device.known_by_distance(level.distance2, level.wall, level.free)
@@ -321,12 +321,12 @@ class GridFeatures:
         return table, words
 
     @_kept
-    def _facings(self) -> npt.NDArray[np.uint8]:
+    def _facings(self) -> U8:
         """Return (H, W) uint8 where free space lies, see ``facings``."""
         return facings(self.grid.cells, self.grid.grid.resolution)
 
     @_kept
-    def directions(self) -> npt.NDArray[np.float64]:
+    def directions(self) -> F64:
         """Return how many walls run which way, see ``wall_directions``."""
         return wall_directions(self.grid.solid)
 
@@ -342,7 +342,7 @@ class GridFeatures:
         )
 
 
-def _lattice_points(mask: npt.NDArray[np.uint8]) -> npt.NDArray[np.int32]:
+def _lattice_points(mask: U8) -> I32:
     """Return the centres of the cells that are 1, x and y in half cells, in raster order."""
     # Of booleans NumPy finds the set ones eight at once.
     cells = np.flatnonzero(mask.view(np.bool_)).astype(np.int32)
@@ -369,7 +369,7 @@ def _without_rims(grid: NormalizedGrid) -> NormalizedGrid:
     return replace(grid, cells=np.where(rims, np.int8(0), grid.cells))
 
 
-def facings(cells: npt.NDArray[np.int8], resolution: float) -> npt.NDArray[np.uint8]:
+def facings(cells: I8, resolution: float) -> U8:
     """Return where free space lies from each cell.
 
     ``cells`` are (H, W) int8 in {-1, 0, 1}; ``resolution`` is in metres per cell.
@@ -403,7 +403,7 @@ def facings(cells: npt.NDArray[np.int8], resolution: float) -> npt.NDArray[np.ui
     return np.ascontiguousarray(out[:height, :width])
 
 
-def wall_directions(solid: npt.NDArray[np.uint8]) -> npt.NDArray[np.float64]:
+def wall_directions(solid: U8) -> F64:
     """Return the histogram (180,) of directions across walls, mean 0 and length 1."""
     shrink = min(1.0, DIRECTION_CELLS / max(solid.shape))
     size = (max(1, round(solid.shape[1] * shrink)), max(1, round(solid.shape[0] * shrink)))
@@ -423,7 +423,7 @@ def wall_directions(solid: npt.NDArray[np.uint8]) -> npt.NDArray[np.float64]:
     # Shared by the two nearest whole degrees.
     below = np.floor(degrees)
     above = (degrees - below) * weight[strong]
-    counts: npt.NDArray[np.float64] = np.zeros(DIRECTIONS)
+    counts: F64 = np.zeros(DIRECTIONS)
     for more, part in enumerate((weight[strong] - above, above)):
         counts += np.bincount((below.astype(np.int64) + more) % DIRECTIONS, part, DIRECTIONS)
     reach = len(SMOOTHING) // 2

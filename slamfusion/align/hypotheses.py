@@ -13,7 +13,6 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from slamfusion.align.decide import (
     EXPECTED_WRONG_MAX,
@@ -39,7 +38,7 @@ from slamfusion.align.search import SearchResult, search
 from slamfusion.align.shifts import SearchWindow
 from slamfusion.compute.lattice import fixed_cells
 from slamfusion.config import AlignConfig
-from slamfusion.geometry import F64
+from slamfusion.geometry import B8, F64
 
 # Wall points for the comparison of scales.
 POINTS = 1024
@@ -212,7 +211,7 @@ def _answer(
     motions: F64,
     reading: Reading,
     pieces: WallPieces,
-    inside: npt.NDArray[np.bool_] | None,
+    inside: B8 | None,
     chances: Chances,
 ) -> Answer:
     """Return the best of the motions (P, 3) in the window, compared with all others.

@@ -23,9 +23,9 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-import numpy.typing as npt
 
 from slamfusion.compute.layout import DISTANCE2_MAX
+from slamfusion.geometry import F64, U16
 
 # Share of a map's walls that another map of the place shows again, and the rest.
 HIT = 0.75
@@ -45,8 +45,8 @@ class ScoreTable:
         unit: nats a value, where the values count evidence.
     """
 
-    hit: npt.NDArray[np.uint16]
-    miss: npt.NDArray[np.uint16]
+    hit: U16
+    miss: U16
     base: int
     span: int
     unit: float = 0.0
@@ -87,7 +87,7 @@ def evidence_table(chance: float, sigma: float, top: int, doubt: float = 0.0) ->
 
 
 @cache
-def likeness(sigma: float) -> npt.NDArray[np.float64]:
+def likeness(sigma: float) -> F64:
     """Return (4097,) float64 ``exp(-d^2 / 2)`` by squared distance in cells; sigma in cells."""
     d = _distances(sigma)
     table = np.exp(-0.5 * d * d)
@@ -95,6 +95,6 @@ def likeness(sigma: float) -> npt.NDArray[np.float64]:
     return np.asarray(table)
 
 
-def _distances(sigma: float) -> npt.NDArray[np.float64]:
+def _distances(sigma: float) -> F64:
     """Return (4097,) distances in widths of a wall, by squared distance in cells."""
     return np.asarray(np.sqrt(np.arange(DISTANCE2_MAX + 1)) / sigma)

@@ -40,7 +40,7 @@ from slamfusion.compute.layout import (
     VISITS_MASK,
 )
 from slamfusion.compute.tiles import move_points, tile_places, walk_cells
-from slamfusion.geometry import B8, F32, I32, I64, U8, U32
+from slamfusion.geometry import B8, F32, I8, I32, I64, U8, U32
 
 # Beams that NumPy walks at once.
 BATCH = 4096
@@ -68,7 +68,7 @@ def halve_counts(device: ArrayDevice, pools: dict[str, DeviceArray[Any]]) -> Non
 
 def percent_of_counts(
     hits: npt.NDArray[Any], visits: npt.NDArray[Any], threshold: float, least_visits: int = 1
-) -> npt.NDArray[np.int8]:
+) -> I8:
     """Return hits and visits as occupancy in percent.
 
     The percent rises with the share of hits, and the threshold maps to 65, the limit of the map

@@ -130,12 +130,6 @@ def optimize_in_steps(
 optimize = at_once(optimize_in_steps)
 
 
-def chi2_of(graph: PoseGraph, poses: F64 | None = None) -> F64:
-    """Return the squared error of each edge in its deviations, (M,), by default at its poses."""
-    measured = Measurements(graph.edges, graph.motions, graph.information)
-    return measured.squared_errors(graph.poses if poses is None else poses)
-
-
 def _start(problem: Problem, graph: PoseGraph, start: Start) -> F64 | None:
     """Return the poses to start from; None if the search finds its own."""
     if start == "given":

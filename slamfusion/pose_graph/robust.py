@@ -318,7 +318,6 @@ class _Search:
                 yield
 
     def _outside(self) -> B8:
-        """Return the closures that are outside the inlier set, (M,) bool."""
         return self._problem.may_be_outlier & ~self.used
 
     def _against_graph(self, asked: I64) -> Gates:

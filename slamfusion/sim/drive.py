@@ -100,9 +100,9 @@ class _Robot:
             (item, math.hypot(item.across_m, item.along_m) / 2.0) for item in world.obstacles
         ]
 
-    def true_rates(self, command: _Command) -> tuple[float, float]:
-        """Return the true speed and turning rate for a command."""
-        speed, turn = command
+    def after(self, command: _Command) -> tuple[float, float, float]:
+        """Return x, y, yaw after one step of a command: the chord of an arc."""
+        speed, turn = command  # from here on the true ones
         drive = self.drive
         if drive.model == "tracks":
             half = drive.track_m / 2.0
@@ -115,11 +115,6 @@ class _Robot:
             if zone_place(zone, (self.x, self.y))[1]:
                 turn += zone.kick_rad_m * speed
                 speed *= 1.0 - zone.slip_share
-        return speed, turn
-
-    def after(self, command: _Command) -> tuple[float, float, float]:
-        """Return x, y, yaw after one step of a command: the chord of an arc."""
-        speed, turn = self.true_rates(command)
         middle = self.yaw_rad + turn * self.step_s / 2.0
         way = speed * self.step_s
         return (
@@ -268,7 +263,6 @@ class _Driver:
         return self.space.clearance_at(x, y) >= self.drive.radius_m
 
     def _towards(self, wanted: float) -> float:
-        """Return the next speed, limited by the acceleration."""
         change = ACCELERATION_MPS2 * self.robot.step_s
         self.speed += min(max(wanted - self.speed, -change), change)
         return self.speed

@@ -73,7 +73,6 @@ class Producer:
 
 
 def _imported(place: str, *arguments: Any) -> Any:
-    """Import ``module:name`` below this package and call it."""
     return pkgutil.resolve_name(f"slamfusion.slam.{place}")(*arguments)
 
 

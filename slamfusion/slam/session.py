@@ -287,22 +287,19 @@ class ProducerSession:
             return None
         if is_old and not before.unmapped and not (before.is_path_due and is_path_heard):
             return None
-        trajectory = self._trajectory(grid) if is_path_heard else None
+        trajectory, producer = None, self._producer
+        if is_path_heard and isinstance(grid, MapJob) and isinstance(producer, DrawsAside):
+            trajectory = producer.trajectory(grid)  # the map's own path
+        elif is_path_heard:
+            trajectory = producer.trajectory()
         self._change(
             unmapped=0,
             is_path_due=trajectory is None,
-            memory_bytes=self._producer.memory_bytes(),
+            memory_bytes=producer.memory_bytes(),
             map_time_s=self._clock() - begun_s,
             contradictions=self._contradictions(),
         )
         return UndrawnMap(grid, trajectory, before.fed_s, self._producer_generation)
-
-    def _trajectory(self, grid: OccupancyGrid | MapJob) -> Trajectory:
-        """Return the path, that of the map if it is drawn aside."""
-        producer = self._producer
-        if isinstance(grid, MapJob) and isinstance(producer, DrawsAside):
-            return producer.trajectory(grid)
-        return producer.trajectory()
 
     def _contradictions(self) -> tuple[str, ...]:
         """Say how the last poses contradict the odometry."""

@@ -69,8 +69,6 @@ class Outcome:
 
 @dataclass(frozen=True)
 class _Job:
-    """A process that is at work."""
-
     name: str
     process: SpawnProcess
     answers: Connection
@@ -133,7 +131,6 @@ class SideBySide:
         return tuple(self._outcomes[name] for name in self._names)
 
     def _start(self) -> None:
-        """Start processes up to the allowed number."""
         while self._waiting and len(self._jobs) < self._processes:
             with interrupts_held():  # none comes before the process can be stopped
                 self._jobs.append(_start(self._waiting.pop(0), self._arguments, self._threads))
@@ -212,7 +209,6 @@ def _stop(job: _Job) -> None:
 
 
 def _how_it_died(exit_code: int | None) -> str:
-    """Describe how a process without an answer ended."""
     if exit_code is None or exit_code >= 0:
         return f"its process ended with code {exit_code} and no map"
     try:

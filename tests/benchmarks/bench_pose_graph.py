@@ -48,9 +48,9 @@ from slamfusion.pose_graph.least_squares import (
     descend,
     rotations_first,
 )
-from slamfusion.pose_graph.optimize import Robust, chi2_of, optimize
+from slamfusion.pose_graph.optimize import Robust, optimize
 from tests.benchmarks.record import add_record_option, console_for
-from tests.pose_graph.graphs import POSE_GRAPHS, apart, with_false_closures
+from tests.pose_graph.graphs import POSE_GRAPHS, apart, chi2_of, with_false_closures
 from tests.pose_graph.gtsam_oracle import GtsamGraph, has_gtsam
 
 T = TypeVar("T")

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from slamfusion.geometry import F64, compose_poses, invert_poses
 from slamfusion.pose_graph.graph import PoseGraph, loop_closing
+from slamfusion.pose_graph.least_squares import Measurements
 from tests.support.datasets import DATASETS
 
 POSE_GRAPHS = DATASETS / "pose-graphs"
@@ -93,6 +94,12 @@ def with_false_closures(graph: PoseGraph, share: float, seed: int, kind: str) ->
         information=np.concatenate((graph.information, graph.information[source])),
         is_closure=np.concatenate((graph.is_closure, np.ones(count, np.bool_))),
     )
+
+
+def chi2_of(graph: PoseGraph, poses: F64 | None = None) -> F64:
+    """Return each edge's squared error in its deviations, (M,), by default at the graph's poses."""
+    measured = Measurements(graph.edges, graph.motions, graph.information)
+    return measured.squared_errors(graph.poses if poses is None else poses)
 
 
 def apart(one: F64, other: F64) -> float:

@@ -9,8 +9,7 @@ import pytest
 
 from slamfusion.errors import GraphError
 from slamfusion.pose_graph.graph import chained_poses, loop_closing
-from slamfusion.pose_graph.optimize import chi2_of
-from tests.pose_graph.graphs import drawn, laps, ring
+from tests.pose_graph.graphs import chi2_of, drawn, laps, ring
 
 
 def test_arrays_cannot_be_changed() -> None:

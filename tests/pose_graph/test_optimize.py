@@ -20,8 +20,8 @@ from slamfusion.pose_graph.least_squares import (
     descend,
     rotations_first,
 )
-from slamfusion.pose_graph.optimize import Start, chi2_of, optimize
-from tests.pose_graph.graphs import ABSENT, POSE_GRAPHS, drawn, laps, ring
+from slamfusion.pose_graph.optimize import Start, optimize
+from tests.pose_graph.graphs import ABSENT, POSE_GRAPHS, chi2_of, drawn, laps, ring
 from tests.pose_graph.gtsam_oracle import GtsamGraph, has_gtsam
 from tests.support.examples import examples
 

@@ -25,8 +25,8 @@ from slamfusion.grid import OccupancyGrid as Grid
 from slamfusion.io import LogScan
 from slamfusion.ros import messages, producer_node, qos
 from slamfusion.slam.common.mapper import DrawsAside, MapJob
-from slamfusion.slam.graph import GraphSlam
 from slamfusion.slam.graph.node_map import NodeMap
+from slamfusion.slam.graph.slam import GraphSlam
 from slamfusion.slam.registry import make_producer
 from tests.ros.drives import as_sent, offline, scans
 from tests.ros.live import Observer

@@ -20,7 +20,7 @@ from slamfusion.json_values import plain
 from slamfusion.scan import LaserScan
 from slamfusion.slam.common.mapper import Mapper
 from slamfusion.slam.common.matcher import ScanOnTiles, response_information
-from slamfusion.slam.graph import GraphSlam
+from slamfusion.slam.graph.slam import GraphSlam
 from slamfusion.slam.graph.submap import Submap
 from slamfusion.trajectory import Trajectory
 from tests.slam.drives import CELL_M

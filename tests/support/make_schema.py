@@ -52,7 +52,7 @@ from slamfusion.jobs.records import FailureDocument
 from slamfusion.json_values import POSE_KEYS, printed_names
 from slamfusion.slam.common.mapper import Health
 from slamfusion.slam.gmapping.slam import FilterHealth
-from slamfusion.slam.graph import GraphHealth
+from slamfusion.slam.graph.map_graph import GraphHealth
 
 PATH = Path(__file__).resolve().parents[2] / "slamfusion" / "jobs" / "schema.json"
 DIALECT = "https://json-schema.org/draft/2020-12/schema"

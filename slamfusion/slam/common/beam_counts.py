@@ -66,7 +66,6 @@ class BeamCounts:
     """Hits and visits of every cell."""
 
     def __init__(self, device: ComputeDevice) -> None:
-        """Start with none."""
         self._device = device
         self._maps = SharedTileMaps(device, 1, {"hits": np.uint32, "visits": np.uint32})
 

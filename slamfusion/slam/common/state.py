@@ -24,7 +24,7 @@ import numpy.typing as npt
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import to_mapping
-from slamfusion.errors import MemoryBudgetError, SlamFusionError, shown
+from slamfusion.errors import SlamFusionError, shown
 from slamfusion.geometry import F64, Pose2
 from slamfusion.io import check_memory, write_atomic
 from slamfusion.io.files import open_regular
@@ -51,19 +51,26 @@ class Stateful:
 
     def to_state(self) -> dict[str, Any]:
         """Return the state by attribute."""
-        return {name: _state_of(getattr(self, name)) for name in self.STATE}
+
+        def state_of(value: Any) -> Any:
+            if isinstance(value, np.random.Generator):
+                return value.bit_generator.state
+            return value.to_state() if hasattr(value, "to_state") else value
+
+        return {name: state_of(getattr(self, name)) for name in self.STATE}
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Take over what ``to_state`` returned; records and generators stay the same objects."""
         for name in self.STATE:
             own, value = getattr(self, name), state[name]
+            record: Any = getattr(own, "__dataclass_params__", None)
             if hasattr(own, "to_state"):
                 own.restore(value)
             elif isinstance(own, np.random.Generator):
                 own.bit_generator.state = value
             elif None not in (_kind(own), _kind(value)) and _kind(own) != _kind(value):
                 raise TypeError(f"{name}: wanted {_kind(own)}, found {_kind(value)}")
-            elif _is_mutable_record(own):
+            elif record is not None and not record.frozen:
                 vars(own).update(vars(value))
             else:
                 setattr(self, name, value)
@@ -178,17 +185,6 @@ def unpack(packed: Any, arrays: Arrays, kinds: Mapping[str, type]) -> Any:
     return state
 
 
-def _state_of(value: Any) -> Any:
-    if isinstance(value, np.random.Generator):
-        return value.bit_generator.state
-    return value.to_state() if hasattr(value, "to_state") else value
-
-
-def _is_mutable_record(value: Any) -> bool:
-    parameters: Any = getattr(value, "__dataclass_params__", None)
-    return parameters is not None and not parameters.frozen
-
-
 def _kind(value: Any) -> Any:
     """Return what stays the same of an attribute between scans; None of None."""
     if isinstance(value, np.ndarray):
@@ -232,10 +228,6 @@ def _unpacked(packed: Any, rest: Arrays, kinds: Mapping[str, type]) -> Any:
     return kinds[tag](**{name: _unpacked(item, rest, kinds) for name, item in value.items()})
 
 
-class _NoFileError(SlamFusionError):
-    """The named state is no regular file."""
-
-
 def _read(path: Path, owner: dict[str, Any]) -> tuple[Any, Arrays]:
     """Return the packed state of a file, which must be of this owner."""
     try:
@@ -244,7 +236,7 @@ def _read(path: Path, owner: dict[str, Any]) -> tuple[Any, Arrays]:
         is_whole = found_digest == digest(arrays)
         record: dict[str, Any] = json.loads(arrays.pop(RECORD).tobytes())
         found = record["name"], record["format"]
-    except (MemoryBudgetError, _NoFileError):
+    except SlamFusionError:  # no regular file, or too large
         raise
     except OSError as error:
         raise SlamFusionError(f"{path}: cannot be read ({error.strerror or error})") from None
@@ -269,7 +261,7 @@ def _read(path: Path, owner: dict[str, Any]) -> tuple[Any, Arrays]:
 
 def _arrays(path: Path) -> Arrays:
     """Return the arrays of a file, which together are not larger than it."""
-    with open_regular(path, _NoFileError) as file:
+    with open_regular(path, SlamFusionError) as file:
         size = os.fstat(file.fileno()).st_size
         check_memory(2 * size, "a state", str(path))
         with zipfile.ZipFile(file) as packed:

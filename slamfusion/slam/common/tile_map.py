@@ -20,7 +20,7 @@ from slamfusion.compute.arrays import DeviceArray
 from slamfusion.compute.cell_means import LikelihoodRule, ScanRule
 from slamfusion.compute.layout import TILE
 from slamfusion.errors import MemoryBudgetError
-from slamfusion.geometry import F64, Pose2, corners
+from slamfusion.geometry import B8, F64, I8, I32, I64, Pose2, corners
 from slamfusion.grid import OccupancyGrid
 from slamfusion.slam.common.state import check_arrays, check_indices
 
@@ -39,9 +39,7 @@ MOST_SIDE = 1 << 15
 Array = npt.NDArray[Any]
 
 
-def known_part(
-    percent: npt.NDArray[np.int8], anchor: F64, first: Array, cell: float, name: str
-) -> OccupancyGrid:
+def known_part(percent: I8, anchor: F64, first: Array, cell: float, name: str) -> OccupancyGrid:
     """Return a map (H, W) as a grid, cut to what is known.
 
     Its first cell is ``first`` (2,) from the anchor (2,), metres; ``cell`` is in metres.
@@ -123,7 +121,7 @@ class _Tiles:
         self.pages, self.corner = pages, start
         self._send()
 
-    def cells(self, name: str, *index: int) -> tuple[Array, npt.NDArray[np.int64]]:
+    def cells(self, name: str, *index: int) -> tuple[Array, I64]:
         """Return one map (H, W), cut to the pages in use, and its first (column, row), (2,)."""
         (col0, row0), (col1, row1) = (corner // TILE for corner in self.used_box(*index))
         cut = self.pages[index][row0:row1, col0:col1]
@@ -135,7 +133,7 @@ class _Tiles:
         first = (self.corner + np.array([col0, row0])) * TILE
         return values.reshape(height * TILE, width * TILE), first
 
-    def used_box(self, *index: int) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    def used_box(self, *index: int) -> tuple[I64, I64]:
         """Return the corners of one map's pages in use, (2,) x and y in cells of the window."""
         places = np.argwhere(self.pages[index])[:, ::-1]
         if len(places) == 0:
@@ -180,7 +178,7 @@ class TileMap(_Tiles):
         self._wanted: Any = None
         super().__init__(device, pools)
 
-    def write(self, beams: npt.NDArray[np.int32], rule: ScanRule | LikelihoodRule) -> None:
+    def write(self, beams: I32, rule: ScanRule | LikelihoodRule) -> None:
         """Write a scan's beams (B, K), as the rule says, all in the window."""
         device, handle = self._device, self._device.upload(beams)
         missed = device.mark_scan(self.pools, self.page_tables, handle, rule, self._wanted)
@@ -215,7 +213,6 @@ class SharedTileMaps(_Tiles):
     def __init__(
         self, device: ComputeDevice, count: int, pools: Mapping[str, npt.DTypeLike]
     ) -> None:
-        """Make empty maps."""
         # Number of maps that use each tile; the empty tile counts as unused and is never free.
         self._users = np.zeros(1, dtype=np.int32)
         self._one: tuple[int, DeviceArray[Any]] | None = None
@@ -243,19 +240,19 @@ class SharedTileMaps(_Tiles):
             self._one = (index, self._device.upload(self.pages[index]))
         return self._one[1]
 
-    def page_tables_of(self, indices: npt.NDArray[np.int64]) -> DeviceArray[Any]:
+    def page_tables_of(self, indices: I64) -> DeviceArray[Any]:
         """Return some maps' pages, (M, PH, PW), on the device."""
         if len(indices) == len(self.pages):
             return self.page_tables
         return self._device.upload(self.pages[indices])
 
-    def take_over(self, parents: npt.NDArray[np.int64]) -> None:
+    def take_over(self, parents: I64) -> None:
         """Replace every map by its parent's, (N,) indices of maps; no cell is copied."""
         self.pages = self.pages[parents]
         self._count_users()
         self._send()
 
-    def make_writable(self, written: npt.NDArray[np.bool_]) -> None:
+    def make_writable(self, written: B8) -> None:
         """Give maps tiles of their own on the pages (N, PH, PW) that they are going to write."""
         places = np.flatnonzero(written)
         tiles = self.pages.flat[places]
@@ -287,7 +284,7 @@ class SharedTileMaps(_Tiles):
         self._users = np.bincount(self.pages.ravel(), minlength=self.tiles).astype(np.int32)
         self._users[0] = 0
 
-    def _take(self, count: int) -> npt.NDArray[np.int64]:
+    def _take(self, count: int) -> I64:
         """Return the numbers of ``count`` free tiles; grow the pools if needed."""
         free = np.flatnonzero(self._users[1:] == 0)[:count] + 1
         missing = count - len(free)

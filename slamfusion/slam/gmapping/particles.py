@@ -7,13 +7,21 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from slamfusion.compute import ComputeDevice
-from slamfusion.compute.arrays import DeviceArray
 from slamfusion.compute.hit_counts import BeamScan, FieldRule, halve_counts, percent_of_counts
 from slamfusion.compute.layout import MOST_BEAMS
-from slamfusion.geometry import F64, I64, Pose2, compose_poses, corners, pose_of, wrap_angles
+from slamfusion.geometry import (
+    F64,
+    I32,
+    I64,
+    U8,
+    Pose2,
+    compose_poses,
+    corners,
+    pose_of,
+    wrap_angles,
+)
 from slamfusion.grid import OccupancyGrid, row_parts
 from slamfusion.scan import LaserScan
 from slamfusion.slam.common.mapper import Series
@@ -38,7 +46,7 @@ class Beams:
     """
 
     ends: F64
-    is_hit: npt.NDArray[np.uint8]
+    is_hit: U8
     laser: F64
 
     @property
@@ -67,7 +75,7 @@ def effective_particles(weights: F64) -> float:
     return 1.0 / float(np.square(weights).sum())
 
 
-def resample_systematic(weights: F64, start: float) -> npt.NDArray[np.int64]:
+def resample_systematic(weights: F64, start: float) -> I64:
     """Return (N,) parents by systematic resampling of normalised weights, ``start`` in [0, 1)."""
     count = len(weights)
     places = (np.arange(count) + start) / count
@@ -174,11 +182,6 @@ class ParticleMaps(Stateful):
         self.field_rule = self._make_field_rule()
 
     @property
-    def field(self) -> DeviceArray[Any]:
-        """Score field of all maps, on the device."""
-        return self.tiles.pools["field"]
-
-    @property
     def corner(self) -> F64:
         """Lower-left corner of the window in the map frame, (2,) x and y in cells."""
         return np.asarray(self.anchor / self._config.delta + self.tiles.origin)
@@ -196,7 +199,9 @@ class ParticleMaps(Stateful):
 
     def walls(self, index: int) -> FieldMap:
         """Return one particle's map as the matcher sees it."""
-        return FieldMap(self.field, self.tiles.page_table(index), self.corner, self._config.delta)
+        tiles = self.tiles
+        field, pages = tiles.pools["field"], tiles.page_table(index)
+        return FieldMap(field, pages, self.corner, self._config.delta)
 
     def grid(self, index: int, name: str) -> OccupancyGrid:
         """Return one particle's map as it is published."""
@@ -262,7 +267,7 @@ class ParticlePaths(Stateful):
     def __init__(self, count: int) -> None:
         self._count = count
         self._poses: list[F64] = []
-        self._parents: list[npt.NDArray[np.int32]] = []
+        self._parents: list[I32] = []
         self._entropies = Rows(1)
         # Stamp, node, and motion since the node.
         self._scans = Rows(5)
@@ -272,7 +277,7 @@ class ParticlePaths(Stateful):
         """Bytes of nodes and scans."""
         return len(self._poses) * self._count * 28 + len(self._scans) * 40
 
-    def add_node(self, poses: F64, parents: npt.NDArray[np.int64] | None) -> None:
+    def add_node(self, poses: F64, parents: I64 | None) -> None:
         """Add a filter step with poses (N, 3) and parents (N,); None: each is its own parent."""
         own = np.arange(self._count) if parents is None else parents
         self._poses.append(poses.copy())

@@ -12,10 +12,18 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 
 from slamfusion.compute import ComputeDevice
-from slamfusion.geometry import F64, Pose2, compose_poses, invert_poses, row_of, wrap_angles
+from slamfusion.geometry import (
+    F32,
+    F64,
+    I32,
+    Pose2,
+    compose_poses,
+    invert_poses,
+    row_of,
+    wrap_angles,
+)
 from slamfusion.slam.common.matcher import pose_table
 from slamfusion.slam.gmapping.particles import ParticleMaps
 
@@ -228,7 +236,7 @@ class PoseSampler:
         looked_at = hits[:: max(every, config.lskip + 1)]
         table = pose_table(samples, cell, self._maps.corner)
         sums = self._device.score_maps(
-            self._maps.field,
+            self._maps.tiles.pools["field"],
             self._maps.tiles.page_tables,
             self._device.upload_hits(looked_at),
             table,
@@ -250,9 +258,7 @@ class PoseSampler:
         poses[:, 2] = wrap_angles(poses[:, 2])
         return Sampled(poses, proposal.log_evidence, scores, int((~is_believed).sum()))
 
-    def _hill_climb(
-        self, hits: npt.NDArray[np.float32], expected: F64, drawn: F64, sigmas: F64
-    ) -> tuple[F64, F64]:
+    def _hill_climb(self, hits: F32, expected: F64, drawn: F64, sigmas: F64) -> tuple[F64, F64]:
         """Return (N, 3) where hill climbing from the drawn poses ends, and (N,) mean scores."""
         config, cell, corner = self._config, self._config.delta, self._maps.corner
         looked_at = self._device.upload_hits(hits)
@@ -267,7 +273,7 @@ class PoseSampler:
         losses[:, :3] = rows(expected)
         losses[:, 3:6] = config.climb_loss * (np.array([cell, cell, 1.0]) / sigmas) ** 2
         found = self._device.climb_maps(
-            self._maps.field,
+            self._maps.tiles.pools["field"],
             self._maps.tiles.page_tables,
             looked_at,
             losses,
@@ -283,7 +289,7 @@ class PoseSampler:
         return matched, np.asarray(found[:, 5] + loss)
 
 
-def _likelihood_table(config: Any) -> npt.NDArray[np.int32]:
+def _likelihood_table(config: Any) -> I32:
     """Return (256,) int32 log-likelihood, in 1/LOG_ONE, of a hit by the field under it."""
     field = np.arange(256) / 255.0
     squared_m2 = np.full(256, NO_HIT_M2)
@@ -291,7 +297,7 @@ def _likelihood_table(config: Any) -> npt.NDArray[np.int32]:
     return np.asarray(np.rint(-LOG_ONE * squared_m2 / config.lsigma).astype(np.int32))
 
 
-def _climb_sizes(config: Any) -> npt.NDArray[np.float32]:
+def _climb_sizes(config: Any) -> F32:
     """Return (S, 4) float32 steps of hill climbing, each half of the one before."""
     halves = 0.5 ** np.arange(config.iterations + 1)
     turns = config.astep * halves

@@ -19,12 +19,11 @@ from dataclasses import dataclass
 from typing import Any, cast
 
 import numpy as np
-import numpy.typing as npt
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import GmappingConfig
 from slamfusion.errors import SlamFusionError
-from slamfusion.geometry import Pose2, compose_poses, pose_of, row_of, wrap_angle
+from slamfusion.geometry import I64, Pose2, compose_poses, pose_of, row_of, wrap_angle
 from slamfusion.grid import IDENTITY, OccupancyGrid
 from slamfusion.scan import LaserScan
 from slamfusion.slam.common.mapper import Health, Series, Step
@@ -68,13 +67,10 @@ class FilterHealth(Health):
     """Tiles that several particles use."""
 
 
-NAME = "gmapping"
-
-
 class Gmapping(SavedMapper):
     """The filter behind the ``Mapper`` protocol."""
 
-    name = NAME
+    name = "gmapping"
     STATE_FORMAT = 8
     STATE_KINDS = (FilterHealth, Particles)
     STATE = (
@@ -90,7 +86,6 @@ class Gmapping(SavedMapper):
     )
 
     def __init__(self, config: GmappingConfig, device: ComputeDevice, seed: int = 0) -> None:
-        """Start with empty maps."""
         self.health: FilterHealth = FilterHealth()
         self.last_stamp_s: float | None = None
         # Every field has a value, which its type cannot express.
@@ -223,7 +218,7 @@ class Gmapping(SavedMapper):
         health.tiles_owned, health.tiles_shared = tiles.tiles_owned, tiles.tiles_shared
         return health.best_score / len(points)
 
-    def _parents(self, stamp_s: float) -> npt.NDArray[np.int64] | None:
+    def _parents(self, stamp_s: float) -> I64 | None:
         """Return the parents (N,) of the particles; None if all survive."""
         config, particles = self._config, self._particles
         shares, n_eff = particles.weigh(stamp_s, config.ogain)

@@ -16,10 +16,3 @@
 ``Localizer`` reads ``LocalMap``. ``LoopClosure`` reads ``LocalMap`` and ``MapGraph``, adds closures
 to the graph and, when a robot is relocalized, joins components and moves their poses.
 """
-
-from __future__ import annotations
-
-from slamfusion.slam.graph.map_graph import GraphHealth
-from slamfusion.slam.graph.slam import GraphSlam
-
-__all__ = ["GraphHealth", "GraphSlam"]

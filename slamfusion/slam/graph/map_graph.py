@@ -14,9 +14,9 @@ from dataclasses import dataclass, field, replace
 from typing import Any, cast
 
 import numpy as np
-import numpy.typing as npt
 
 from slamfusion.geometry import (
+    B8,
     F64,
     Pose2,
     compose_poses,
@@ -354,7 +354,7 @@ class MapGraph(Stateful):
         self._unsolved += 1
         self._is_urgent = self._is_urgent or len(closures) > 1
 
-    def move_nodes(self, chosen: npt.NDArray[np.bool_], motion: Pose2) -> None:
+    def move_nodes(self, chosen: B8, motion: Pose2) -> None:
         """Move the chosen nodes (N,) by a motion of the map frame, and drop a running solution."""
         motions = np.broadcast_to(wrapped_row_of(motion), (int(chosen.sum()), 3))
         self.poses[chosen] = compose_poses(motions, self.poses[chosen])

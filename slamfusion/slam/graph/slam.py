@@ -43,7 +43,6 @@ from slamfusion.slam.graph.map_graph import (
 from slamfusion.slam.graph.node_map import Node, NodeMap
 from slamfusion.trajectory import Trajectory
 
-NAME = "graph"
 # Time without a scan, seconds, above which it counts as a pause: the robot may have been moved.
 PAUSE_S = 60.0
 # A match in a known place below this share of the usual score: the place has changed.
@@ -53,7 +52,7 @@ CHANGED_SHARE = 0.65
 class GraphSlam(SavedMapper):
     """The graph SLAM behind the ``Mapper`` protocol."""
 
-    name = NAME
+    name = "graph"
     STATE_FORMAT = 11
     STATE_KINDS = (
         Constraint,
@@ -67,7 +66,6 @@ class GraphSlam(SavedMapper):
     STATE = ("health", "last_stamp_s", "_localizer", "_graph", "_local_map", "_loops", "_path")
 
     def __init__(self, config: GraphConfig, device: ComputeDevice, seed: int = 0) -> None:
-        """Start with an empty graph."""
         self.health: GraphHealth = GraphHealth()
         self.last_stamp_s: float | None = None
         self._config, self._seed = config, seed

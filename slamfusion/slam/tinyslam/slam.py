@@ -19,7 +19,7 @@ from slamfusion.compute.cell_means import ScanRule
 from slamfusion.compute.layout import BEAM_ONE, MEAN_HALF, MOST_OBSERVATIONS, UNSEEN, VALUE_ONE
 from slamfusion.config import CellModel, TinySlamConfig
 from slamfusion.errors import SlamFusionError
-from slamfusion.geometry import F64, Pose2, corners, pose_of, row_of
+from slamfusion.geometry import F64, I8, I32, U32, Pose2, corners, pose_of, row_of
 from slamfusion.grid import UNKNOWN, OccupancyGrid, row_parts
 from slamfusion.scan import LaserScan
 from slamfusion.slam.common.mapper import Health, Series, Step
@@ -83,7 +83,6 @@ def area_behind(offset_x: npt.ArrayLike, offset_y: npt.ArrayLike, angle_rad: npt
     return np.asarray(np.where(distance < 0.0, 1.0 - tail, tail), dtype=np.float64)
 
 
-NAME = "tinyslam"
 # Value, 0 to 1, of an observation by a beam that ends in a cell and by one that passes it: [H16],
 # Table II.
 OCCUPIED_VALUE, FREE_VALUE = 0.95, 0.01
@@ -113,10 +112,9 @@ FREE_SHARE = 0.5
 class TinySlam:
     """tinySLAM behind the ``Mapper`` protocol."""
 
-    name = NAME
+    name = "tinyslam"
 
     def __init__(self, config: TinySlamConfig, device: ComputeDevice, seed: int = 0) -> None:
-        """Start with an empty map."""
         self.health = Health()
         self._config = config
         rng = np.random.default_rng(seed)
@@ -199,7 +197,6 @@ class TinySlam:
         return FieldMap(tiles.pools["field"], tiles.page_tables, corner, cell)
 
     def _quality(self, match: Match | None) -> float:
-        """Return the weight of the scan in the map."""
         quality = self._config.quality or DEFAULT_QUALITY[self._config.cell_model]
         if match is not None and match.moved > FAR_MOVED:
             quality *= QUALITY_MOVED
@@ -233,7 +230,7 @@ class TinySlam:
         )
         tiles.write(beams, rule)
 
-    def _beams(self, hits: F64, laser: F64) -> npt.NDArray[np.int32]:
+    def _beams(self, hits: F64, laser: F64) -> I32:
         """Return the beams as the kernels take them; positions in cells of the window."""
         away = hits - laser
         told: F64 | float = OCCUPIED_VALUE
@@ -251,7 +248,7 @@ class TinySlam:
         return beams
 
 
-def _percent(states: npt.NDArray[np.uint32]) -> npt.NDArray[np.int8]:
+def _percent(states: U32) -> I8:
     """Return published states as occupancy in percent.
 
     The percent rises with the cell's mean: ``OCCUPIED_SHARE`` maps to 65 and half of it to 25, the

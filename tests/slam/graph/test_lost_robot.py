@@ -14,7 +14,7 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.config import GraphConfig
 from slamfusion.geometry import Pose2
 from slamfusion.io.log import LogScan
-from slamfusion.slam.graph import GraphSlam
+from slamfusion.slam.graph.slam import GraphSlam
 from tests.slam.drives import CELL_M
 from tests.slam.places import (
     U8,

@@ -14,7 +14,7 @@ from slamfusion.config import GraphConfig
 from slamfusion.geometry import F64, Pose2
 from slamfusion.io.log import LogScan
 from slamfusion.scan import LaserScan
-from slamfusion.slam.graph import GraphSlam
+from slamfusion.slam.graph.slam import GraphSlam
 from tests.slam.drives import CELL_M, draw_flat, drive, scan_at, true_poses
 from tests.slam.places import (
     around,
