@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -115,11 +115,7 @@ def optimize_in_steps(
     poses = found.poses.copy()
     poses[:, 2] = wrap_angles(poses[:, 2])
     return Optimized(
-        poses,
-        found.weights,
-        found.iterations,
-        found.is_converged,
-        found.is_reevaluated,
+        **vars(replace(found, poses=poses)),
         chi2=float(np.dot(found.weights, squares)),
         chi2_all=float(squares.sum()),
         chi2_start=float(measured.squared_errors(graph.poses).sum()),

@@ -31,9 +31,8 @@ from slamfusion.config import (
 from slamfusion.errors import ConfigError, SimulationError, shown, unknown
 from slamfusion.io.yaml_file import read_yaml
 from slamfusion.sim.drive import DRIVES
+from slamfusion.sim.route import Point
 from slamfusion.sim.world import LIDARS
-
-Point = tuple[float, float]
 
 WORLD_NAMES: tuple[str, ...] = get_args(DrawnPlace)
 

@@ -12,8 +12,6 @@ from slamfusion.config import PersonConfig
 from slamfusion.geometry import F64, travelled
 from slamfusion.sim.route import FreeSpace
 
-Point = tuple[float, float]
-
 # A walker's clearance from walls, and the discs at knee or chest height.
 PERSON_RADIUS_M = 0.25
 LEG_RADIUS_M = 0.07

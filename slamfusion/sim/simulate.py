@@ -23,7 +23,7 @@ from slamfusion.scan import LaserScan
 from slamfusion.sim.courses import Course, course_to_mapping
 from slamfusion.sim.drive import Motion, StuckError, follow_ways, read_odometry, run_script
 from slamfusion.sim.people import PERSON_RADIUS_M, draw_people, walk
-from slamfusion.sim.route import MARGIN_M, FreeSpace
+from slamfusion.sim.route import MARGIN_M, FreeSpace, Point
 from slamfusion.sim.world import (
     World,
     beam_angles,
@@ -35,7 +35,6 @@ from slamfusion.sim.world import (
 from slamfusion.sim.worlds import Floor, draw_floor, pick_glass
 from slamfusion.trajectory import Trajectory
 
-Point = tuple[float, float]
 Progress = Callable[[str, int, int], None]
 
 # Each use of random numbers has its own stream, so that one change leaves the others as they were.

@@ -11,6 +11,7 @@ Sources: [H16] (Monte-Carlo matcher with a bounded number of tries), [O09] (the 
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -164,9 +165,9 @@ class ScanOnTiles:
         cell, corner, (centres, sigmas, own) = self._cell, self._corner, hypotheses
         # In cells of the pages; headings near 0, within float32's precision.
         poses, yaw0 = np.concatenate((starts, centres)), centres[0, 2]
-        first = np.empty((len(poses), 5))
-        first[:, :2], first[:, 2] = poses[:, :2] / cell - corner, wrap_angles(poses[:, 2] - yaw0)
-        first[:, 3], first[:, 4] = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+        yaws = poses[:, 2]
+        turned = (wrap_angles(yaws - yaw0), np.cos(yaws), np.sin(yaws))
+        first = np.column_stack((poses[:, :2] / cell - corner, *turned))
         losses = np.empty((len(centres), 7), dtype=np.float32)
         losses[:, :3], losses[:, 6] = first[len(starts) :, :3], own
         losses[:, 3:6] = weights / (sigmas / (cell, cell, 1.0)) ** 2
@@ -342,23 +343,17 @@ class _Stencil(NamedTuple):
 
 def _stencil() -> _Stencil:
     """Return the stencil of all second derivatives."""
-    places = [np.zeros(3)]
-    weights = [np.zeros((3, 3))]
-    for axis in range(3):
+    axes = np.eye(3)
+    places, weights = [np.zeros(3)], [np.diag([-2.0, -2.0, -2.0])]
+    for axis in axes:
         for sign in (1.0, -1.0):
-            place, weight = np.zeros(3), np.zeros((3, 3))
-            place[axis], weight[axis, axis] = sign, 1.0
-            places.append(place)
-            weights.append(weight)
-        weights[0][axis, axis] = -2.0
-    for one, other in ((0, 1), (0, 2), (1, 2)):
-        for a in (1.0, -1.0):
-            for b in (1.0, -1.0):
-                place, weight = np.zeros(3), np.zeros((3, 3))
-                place[one], place[other] = a, b
-                weight[one, other] = weight[other, one] = 0.25 * a * b
-                places.append(place)
-                weights.append(weight)
+            places.append(sign * axis)
+            weights.append(np.diag(axis))
+    for one, other in itertools.combinations(axes, 2):
+        both = np.outer(one, other) + np.outer(other, one)
+        for a, b in itertools.product((1.0, -1.0), repeat=2):
+            places.append(a * one + b * other)
+            weights.append(0.25 * a * b * both)
     sizes = np.array([SURFACE_M, SURFACE_M, SURFACE_RAD])
     seconds = np.array(weights) / np.outer(sizes, sizes)
     return _Stencil(np.array(places) * sizes, seconds.reshape(-1, 9).T.copy())

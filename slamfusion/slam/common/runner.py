@@ -153,10 +153,7 @@ class ProducerRun:
 
     def online_path(self) -> Trajectory | None:
         """Return the poses as they were first reported; None if the producer keeps none."""
-        for path in self.other_paths:
-            if path.name == FIRST_REPORTED:
-                return path
-        return None
+        return next((path for path in self.other_paths if path.name == FIRST_REPORTED), None)
 
     def _contradictions(self) -> tuple[str, ...]:
         sentences = []

@@ -172,14 +172,47 @@ def pack(state: Any) -> tuple[Any, Arrays]:
     Tuples become lists, except those that are keys.
     """
     parts: dict[str, list[npt.NDArray[Any]]] = {}
-    packed = _packed(state, parts)
+
+    def pack_one(value: Any) -> Any:
+        if isinstance(value, np.ndarray):
+            parts.setdefault(value.dtype.name, []).append(value.ravel())
+            return {"array": [value.dtype.name, value.shape]}
+        if dataclasses.is_dataclass(value):
+            fields = (item.name for item in dataclasses.fields(value))
+            return {type(value).__name__: {name: pack_one(getattr(value, name)) for name in fields}}
+        if isinstance(value, dict):
+            return {"dict": [[key, pack_one(item)] for key, item in value.items()]}
+        if isinstance(value, (list, tuple)):
+            return [pack_one(item) for item in value]
+        return value
+
+    packed = pack_one(state)
     return packed, {name: np.concatenate(values) for name, values in parts.items()}
 
 
 def unpack(packed: Any, arrays: Arrays, kinds: Mapping[str, type]) -> Any:
     """Return the state that ``pack`` was given."""
     rest = dict(arrays)
-    state = _unpacked(packed, rest, kinds)
+
+    def unpack_one(packed: Any) -> Any:
+        if isinstance(packed, list):
+            return [unpack_one(item) for item in packed]
+        if not isinstance(packed, dict):
+            return packed
+        ((tag, value),) = packed.items()
+        if tag == "array":
+            name, shape = value
+            size = math.prod(shape)
+            array, rest[name] = rest[name][:size], rest[name][size:]
+            return array.reshape(shape)
+        if tag == "dict":
+            return {
+                tuple(key) if isinstance(key, list) else key: unpack_one(item)
+                for key, item in value
+            }
+        return kinds[tag](**{name: unpack_one(item) for name, item in value.items()})
+
+    state = unpack_one(packed)
     if any(name != array.dtype.name or array.size for name, array in rest.items()):
         raise ValueError("arrays of other values than the record says")
     return state
@@ -190,42 +223,6 @@ def _kind(value: Any) -> Any:
     if isinstance(value, np.ndarray):
         return value.dtype, value.ndim
     return None if value is None else type(value).__name__
-
-
-def _packed(value: Any, parts: dict[str, list[npt.NDArray[Any]]]) -> Any:
-    if isinstance(value, np.ndarray):
-        parts.setdefault(value.dtype.name, []).append(value.ravel())
-        return {"array": [value.dtype.name, value.shape]}
-    if dataclasses.is_dataclass(value):
-        fields = (item.name for item in dataclasses.fields(value))
-        return {
-            type(value).__name__: {name: _packed(getattr(value, name), parts) for name in fields}
-        }
-    if isinstance(value, dict):
-        return {"dict": [[key, _packed(item, parts)] for key, item in value.items()]}
-    if isinstance(value, (list, tuple)):
-        return [_packed(item, parts) for item in value]
-    return value
-
-
-def _unpacked(packed: Any, rest: Arrays, kinds: Mapping[str, type]) -> Any:
-    """Return a value, and remove its arrays from ``rest``."""
-    if isinstance(packed, list):
-        return [_unpacked(item, rest, kinds) for item in packed]
-    if not isinstance(packed, dict):
-        return packed
-    ((tag, value),) = packed.items()
-    if tag == "array":
-        name, shape = value
-        size = math.prod(shape)
-        array, rest[name] = rest[name][:size], rest[name][size:]
-        return array.reshape(shape)
-    if tag == "dict":
-        return {
-            tuple(key) if isinstance(key, list) else key: _unpacked(item, rest, kinds)
-            for key, item in value
-        }
-    return kinds[tag](**{name: _unpacked(item, rest, kinds) for name, item in value.items()})
 
 
 def _read(path: Path, owner: dict[str, Any]) -> tuple[Any, Arrays]:

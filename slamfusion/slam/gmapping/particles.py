@@ -179,7 +179,18 @@ class ParticleMaps(Stateful):
         self.tiles = SharedTileMaps(device, count, pools)
         self._config = config
         self._device = device
-        self.field_rule = self._make_field_rule()
+        # How the score field follows from the counts. No occupied cell within reach is farther than
+        # this, in (1/256 cell)^2.
+        farthest = 2.0 * ((config.kernelSize + 0.5) * 256.0) ** 2
+        shift = max(0, math.ceil(math.log2(farthest / TABLE_STEPS)))
+        squared_m2 = np.arange(TABLE_STEPS) * 2.0**shift / 65536.0 * config.delta**2
+        self.field_rule = FieldRule(
+            table=np.rint(255.0 * np.exp(-squared_m2 / config.sigma)).astype(np.uint8),
+            shift=shift,
+            reach=config.kernelSize,
+            occupied=round(MATCHER_SHARE * 65536),
+            least_hits=1,
+        )
 
     @property
     def corner(self) -> F64:
@@ -234,21 +245,6 @@ class ParticleMaps(Stateful):
         layers = pools["counts"], pools["sums"], pools["field"]
         if device.count_and_settle(*layers, pages, touched, scan, self.field_rule):
             halve_counts(device, pools)
-
-    def _make_field_rule(self) -> FieldRule:
-        """Return how the score field follows from the counts."""
-        config = self._config
-        # No occupied cell within reach is farther than this, in (1/256 cell)^2.
-        farthest = 2.0 * ((config.kernelSize + 0.5) * 256.0) ** 2
-        shift = max(0, math.ceil(math.log2(farthest / TABLE_STEPS)))
-        squared_m2 = np.arange(TABLE_STEPS) * 2.0**shift / 65536.0 * config.delta**2
-        return FieldRule(
-            table=np.rint(255.0 * np.exp(-squared_m2 / config.sigma)).astype(np.uint8),
-            shift=shift,
-            reach=config.kernelSize,
-            occupied=round(MATCHER_SHARE * 65536),
-            least_hits=1,
-        )
 
 
 # Least standard deviations of a cloud, metres, metres, radians: its entropy stays finite.

@@ -9,21 +9,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from slamfusion.compute import ComputeDevice
-from slamfusion.geometry import (
-    F32,
-    F64,
-    I32,
-    Pose2,
-    compose_poses,
-    invert_poses,
-    row_of,
-    wrap_angles,
-)
+from slamfusion.geometry import F32, F64, Pose2, compose_poses, invert_poses, row_of, wrap_angles
 from slamfusion.slam.common.matcher import pose_table
 from slamfusion.slam.gmapping.particles import ParticleMaps
 
@@ -105,10 +96,7 @@ class BicycleModel:
         return distance, max(-MOST_STEERING_RAD, min(MOST_STEERING_RAD, steering))
 
 
-MotionModel: TypeAlias = "DifferentialModel | BicycleModel"
-
-
-def make_motion_model(config: Any) -> MotionModel:
+def make_motion_model(config: Any) -> DifferentialModel | BicycleModel:
     """Return the motion model of a complete configuration."""
     if config.motion_model == "bicycle":
         return BicycleModel(config.srr, config.steering_sigma, config.wheel_base)
@@ -206,8 +194,16 @@ class PoseSampler:
         self._config = config
         self._device = device
         self._maps = maps
-        self._likelihood_table = _likelihood_table(config)
-        self._climb_sizes = _climb_sizes(config)
+        # (256,) int32 log-likelihood, in 1/LOG_ONE, of a hit by the field under it.
+        squared_m2 = np.full(256, NO_HIT_M2)
+        squared_m2[1:] = np.minimum(-config.sigma * np.log(np.arange(1, 256) / 255.0), NO_HIT_M2)
+        likelihoods = np.rint(-LOG_ONE * squared_m2 / config.lsigma)
+        self._likelihood_table = likelihoods.astype(np.int32)
+        # (S, 4) float32 steps of hill climbing, each half of the one before.
+        halves = 0.5 ** np.arange(config.iterations + 1)
+        turns = config.astep * halves
+        steps = (config.lstep / config.delta * halves, turns, np.cos(turns), np.sin(turns))
+        self._climb_sizes = np.column_stack(steps).astype(np.float32)
         self._samples = local_grid(
             config.llsamplerange, config.llsamplestep, config.lasamplerange, config.lasamplestep
         )
@@ -287,19 +283,3 @@ class PoseSampler:
         )
         loss = (losses[:, 3:6] * (found[:, :3] - losses[:, :3]) ** 2).sum(axis=1)
         return matched, np.asarray(found[:, 5] + loss)
-
-
-def _likelihood_table(config: Any) -> I32:
-    """Return (256,) int32 log-likelihood, in 1/LOG_ONE, of a hit by the field under it."""
-    field = np.arange(256) / 255.0
-    squared_m2 = np.full(256, NO_HIT_M2)
-    squared_m2[1:] = np.minimum(-config.sigma * np.log(field[1:]), NO_HIT_M2)
-    return np.asarray(np.rint(-LOG_ONE * squared_m2 / config.lsigma).astype(np.int32))
-
-
-def _climb_sizes(config: Any) -> F32:
-    """Return (S, 4) float32 steps of hill climbing, each half of the one before."""
-    halves = 0.5 ** np.arange(config.iterations + 1)
-    turns = config.astep * halves
-    steps = (config.lstep / config.delta * halves, turns, np.cos(turns), np.sin(turns))
-    return np.column_stack(steps).astype(np.float32)
