@@ -142,11 +142,6 @@ class PathScore:
         return float(self.sums.sum() / self.beams.sum())
 
     @property
-    def beams_judged(self) -> int:
-        """Hits that were judged."""
-        return int(self.beams.sum())
-
-    @property
     def seen_share(self) -> float:
         """Share of the judged hits that lie where other chunks have seen something."""
         return float(self.seen.sum() / self.beams.sum())
@@ -159,7 +154,7 @@ class PathScore:
         compare.
         """
         seen = int(self.seen.sum())
-        price = (self.beams_judged - seen) * np.log(UNKNOWN)
+        price = (int(self.beams.sum()) - seen) * np.log(UNKNOWN)
         return float((self.sums.sum() - price) / seen) if seen else float("nan")
 
 

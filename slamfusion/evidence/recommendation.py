@@ -329,7 +329,7 @@ def _ranked(evidence: PathEvidence, name: str, best: str, from_fused_m: float | 
         behind_95=None if found is None else found.difference_95,
         p_value=None if found is None else found.p_value,
         from_fused_m=from_fused_m,
-        beams_judged=score.beams_judged,
+        beams_judged=int(score.beams.sum()),
         scans_judged=int(evidence.is_judged.sum()),
         seen_share=score.seen_share,
         seen_consistency=score.seen_consistency if score.seen.any() else None,

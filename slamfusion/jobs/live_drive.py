@@ -147,7 +147,7 @@ class LiveDrive:
     def __init__(self, device: ComputeDevice) -> None:
         """Start without scans; ``device`` is that of the thread of ``solve``."""
         self._device = device
-        self._lock = threading.Lock()
+        self._lock = threading.RLock()
         self._generation = 0
         self._scans: list[ScanHits] = []
         # By input: stamp, x, y and yaw of each pose.
@@ -185,7 +185,7 @@ class LiveDrive:
             if last is not None and hits.stamp_s <= last.stamp_s:
                 if hits.stamp_s > last.stamp_s - BACK_S:
                     return
-                self._forget()
+                self.forget()
             # Paths are scored with odometry at every scan, or with none.
             elif last is not None and (hits.odometry is None) != (last.odometry is None):
                 if hits.odometry is None:
@@ -222,15 +222,12 @@ class LiveDrive:
     def forget(self) -> None:
         """Forget everything: a new drive starts, in a frame of its own."""
         with self._lock:
-            self._forget()
-
-    def _forget(self) -> None:
-        self._generation += 1
-        self._scans.clear()
-        self._poses.clear()
-        self._blind_s.clear()
-        self._walls = self._grown = None
-        self._located, self._corrections = [], {}
+            self._generation += 1
+            self._scans.clear()
+            self._poses.clear()
+            self._blind_s.clear()
+            self._walls = self._grown = None
+            self._located, self._corrections = [], {}
 
     # -- where the robot is, from any thread -------------------------------------------------------
 

@@ -329,7 +329,8 @@ def save_run(run: LogRun, folder: str | Path, *, probabilities: bool = False) ->
     Raises:
         SlamFusionError: a file cannot be written, or matplotlib is missing.
     """
-    from slamfusion.jobs.run_page import write_run_page  # noqa: PLC0415  (an extra)
+    from slamfusion.jobs.run_page import run_page  # noqa: PLC0415  (an extra)
+    from slamfusion.report.page import write_page  # noqa: PLC0415
 
     wanted = target = Path(folder)
     if run.usable is None:
@@ -358,7 +359,7 @@ def save_run(run: LogRun, folder: str | Path, *, probabilities: bool = False) ->
             drawn, _ = save_map(run.drawn_map.grid, target / outputs.DRAWN)
             run = replace(run, drawn_map=replace(run.drawn_map, file=drawn))
         began_s = time.perf_counter()
-        page = write_run_page(run, target / outputs.REPORT)
+        page = write_page(run_page(run), target / outputs.REPORT)
         ended_s = time.perf_counter()
         run = replace(
             run,

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
 
 from slamfusion.evaluation.measured import MeasuredPath
 from slamfusion.fusion.path_check import PATH_GAP_M
@@ -21,11 +20,6 @@ from slamfusion.slam.common.runner import ProducerRun
 # What the path is called that is made of those of the producers; among those of the verdict; and
 # the fused map among the doubled walls.
 FUSED_PATH, FUSED_VERDICT, FUSED_MAP = "fused path", "fused", "fused map"
-
-
-def write_run_page(run: LogRun, directory: str | Path) -> Path:
-    """Write the report of a run; see ``write_page``."""
-    return page.write_page(run_page(run), directory)
 
 
 def run_page(run: LogRun) -> page.Page:

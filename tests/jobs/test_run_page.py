@@ -23,8 +23,9 @@ from slamfusion.jobs.fuse_documents import DoubledWalls, Evaluation
 from slamfusion.jobs.fused_path import FusedPath
 from slamfusion.jobs.records import Circumstances
 from slamfusion.jobs.run_files import DriveFusion, FailedProducer, LogRun, RunFiles, RunProducer
-from slamfusion.jobs.run_page import run_page, write_run_page
+from slamfusion.jobs.run_page import run_page
 from slamfusion.palette import NAMED, OTHERS
+from slamfusion.report.page import write_page
 from slamfusion.slam.common.runner import ProducerRun, run_producer
 from slamfusion.trajectory import Trajectory
 from tests.report.drawn import NASTY, REASON, fusion, room
@@ -116,7 +117,7 @@ def everything() -> LogRun:
 @pytest.fixture(scope="module")
 def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """One page with everything on it, to read only."""
-    return write_run_page(everything(), tmp_path_factory.mktemp("run"))
+    return write_page(run_page(everything()), tmp_path_factory.mktemp("run"))
 
 
 def test_the_headline_names_who_made_no_map_who_was_rejected_and_who_is_lost(page: Path) -> None:
@@ -204,7 +205,7 @@ def test_a_failed_fusion_shows_the_maps_and_why(tmp_path: Path) -> None:
         path_gaps=(),
         evaluations=(),
     )
-    text = read(write_run_page(report, tmp_path)).text
+    text = read(write_page(run_page(report), tmp_path)).text
     assert "Nothing was fused no two of them align" in text
     assert "All pairs" in text
     assert "room 2: its path over its map" in text
@@ -215,6 +216,6 @@ def test_a_map_that_may_not_be_used_is_not_called_fused(tmp_path: Path) -> None:
     failure = SlamFusionError("--require-all, but one was rejected")
     full = everything()
     report = replace(full, fusion=replace(full.fusion, failure=failure), error=str(failure))
-    text = read(write_run_page(report, tmp_path)).text
+    text = read(write_page(run_page(report), tmp_path)).text
     assert "Do not use this map --require-all, but one was rejected" in text
     assert "maps were fused" not in text

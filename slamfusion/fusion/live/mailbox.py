@@ -79,7 +79,6 @@ class Mailbox:
     """Keeps the newest map of each input, and the evidence, until taken; for any thread."""
 
     def __init__(self) -> None:
-        """Start empty."""
         self._lock = threading.Lock()
         self._received: dict[str, InputMessage] = {}
         self._removed: list[str] = []

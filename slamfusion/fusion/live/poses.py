@@ -123,7 +123,6 @@ class PoseWatch:
     """Compares the poses of the inputs; see the rule above. Not for several threads at once."""
 
     def __init__(self) -> None:
-        """Start without poses."""
         self._placed: dict[str, Pose2] = {}
         self._poses: dict[str, OrderedDict[int, Pose2]] = {}
         self._pairs: dict[tuple[str, str], _Pair] = {}

@@ -47,7 +47,6 @@ class Anchor:
     """
 
     def __init__(self, aligner: Aligner) -> None:
-        """Start without one."""
         self.held: AnchorMap | None = None
         # The last fused map from before an input's map restarted.
         self._before: AnchorMap | None = None

@@ -37,7 +37,6 @@ class InputSupervisor:
     """
 
     def __init__(self, aligner: Aligner) -> None:
-        """Start without inputs."""
         self.inputs: dict[str, Input] = {}
         self.reference = ""
         self.problem = "no map yet"

@@ -75,7 +75,6 @@ class FusedLayers:
     """
 
     def __init__(self, config: FusionConfig, live: LiveConfig, device: ComputeDevice) -> None:
-        """Start without cells."""
         self.config, self.live, self.device = config, live, device
         self.lattice: Lattice | None = None
         self.box: CellBox | None = None
