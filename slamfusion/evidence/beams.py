@@ -190,11 +190,8 @@ def surface_facings(points: F64, laser: tuple[float, float]) -> F64:
     The surface runs from the previous to the next hits within ``BESIDE_M``; a hit without such
     neighbours faces the laser. ``points`` are (M, 2), in the order of the beams, metres.
     """
-    count = len(points)
-    along = np.zeros((count, 2))
+    along = np.zeros((len(points), 2))
     for step in range(1, MOST_BESIDE + 1):
-        if count <= step:
-            break
         away = points[step:] - points[:-step]
         away[np.hypot(away[:, 0], away[:, 1]) > BESIDE_M] = 0.0
         along[step:] += away

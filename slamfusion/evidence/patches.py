@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from slamfusion.evidence.beams import JudgedScans, ScanHits, cover_stamps
+from slamfusion.evidence.known_motions import turned
 from slamfusion.evidence.path_frames import FROM_MEDIAN, geman_mcclure
 from slamfusion.geometry import B8, F64, I64, Pose2, pose_of, row_of, wrap_angle, wrap_angles
 from slamfusion.trajectory import Trajectory
@@ -79,14 +80,14 @@ class SurfaceHits:
         number[kept] = np.arange(len(kept))
         of = number[scans.hit_scans]
         to_laser = scans.lasers[scans.hit_scans] - scans.hits
-        turned = _turned_rad(scans.facings_rad, to_laser)
-        own = np.flatnonzero((of >= 0) & (np.abs(turned) > LONE_RAD))
+        slants_rad = _turned_rad(scans.facings_rad, to_laser)
+        own = np.flatnonzero((of >= 0) & (np.abs(slants_rad) > LONE_RAD))
         own = own[:: max(1, -(-len(own) // MOST_HITS))]
         if not len(own):
             return cls(np.zeros((0, 2)), np.zeros(0), own, own)
         away_m = np.hypot(*to_laser[own].T)
         limits_m = np.quantile(away_m, np.arange(1, FAR_SHARES) / FAR_SHARES)
-        slants = np.array(SLANTS).searchsorted(np.cos(turned[own]))
+        slants = np.array(SLANTS).searchsorted(np.cos(slants_rad[own]))
         kinds = limits_m.searchsorted(away_m) * (len(SLANTS) + 1) + slants
         return cls(scans.hits[own], scans.facings_rad[own], of[own], np.asarray(kinds, np.int64))
 
@@ -125,10 +126,8 @@ class Patches:
     def at(cls, hits: SurfaceHits, poses: F64, number: int, *, by_kind: bool) -> Patches:
         """Sort hits into patches on a lattice; ``by_kind`` weighs them by their kind's spread."""
         own = poses[hits.scans]
-        cos, sin = np.cos(own[:, 2]), np.sin(own[:, 2])
-        x = cos * hits.points[:, 0] - sin * hits.points[:, 1]
-        y = sin * hits.points[:, 0] + cos * hits.points[:, 1]
-        places = np.stack((own[:, 0] + x, own[:, 1] + y), axis=1)
+        arms = turned(hits.points, np.stack((np.cos(own[:, 2]), np.sin(own[:, 2])), axis=1))
+        places = own[:, :2] + arms
         facings_rad = hits.facings_rad + own[:, 2]
         keys, of, sizes = np.unique(
             _keys(places, facings_rad, number), return_inverse=True, return_counts=True
@@ -141,9 +140,9 @@ class Patches:
         offsets = places - middles[of]
         is_wall = (sizes >= LEAST_HITS) & (unity > LEAST_UNITY)
         sure = np.full(len(of), SPREAD_M**-2.0)
-        turned = normals
+        found = normals
         for _ in range(TURN_ROUNDS):
-            normals = turned
+            normals = found
             normal = normals[of]
             across_m, sides_m = _along(offsets, normal)
             say = np.ones(len(of))
@@ -151,11 +150,12 @@ class Patches:
                 lines = _lines(of, count, sides_m, across_m, say * sure)
                 away_m = across_m - lines[of, 0] - lines[of, 1] * sides_m
                 say = geman_mcclure(away_m / (2.0 * SPREAD_M))
-            turned = _turned_to(normals, lines[:, 1])
+            tilts_rad = np.arctan(lines[:, 1])
+            found = turned(normals, np.stack((np.cos(tilts_rad), -np.sin(tilts_rad)), axis=1))
             is_used = is_wall[of] & (np.abs(away_m) < REACH_M)
             if by_kind and is_used.any():
                 sure = _spreads_m(away_m[is_used], hits.kinds[is_used])[hits.kinds] ** -2.0
-        slopes = _slopes(np.stack((x, y), axis=1), normal)
+        slopes = _slopes(arms, normal)
         return cls(
             number, keys, middles, normals, lines, is_wall, of, slopes, sides_m, away_m,
             say * is_used * sure,
@@ -206,14 +206,6 @@ def _spreads_m(away_m: F64, kinds: I64) -> F64:
     for kind in np.flatnonzero(np.bincount(kinds, minlength=KINDS) >= LEAST_OF_KIND):
         usual_m[kind] = np.median(far_m[kinds == kind])
     return np.asarray(np.hypot(FROM_MEDIAN * usual_m, LEAST_SPREAD_M))
-
-
-def _turned_to(normals: F64, tilts: F64) -> F64:
-    """Return normals, (P, 2), of lines that rise by ``tilts``, (P,), to their left."""
-    by = np.arctan(tilts)
-    cos, sin = np.cos(by), np.sin(by)
-    x, y = normals.T
-    return np.stack((cos * x + sin * y, cos * y - sin * x), axis=1)
 
 
 def _lines(of: I64, count: int, sides_m: F64, across_m: F64, weights: F64) -> F64:

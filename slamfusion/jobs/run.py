@@ -102,10 +102,9 @@ def run_log(  # noqa: PLR0915 - one page, a heading a stage
     """
     config = config or inputs.RUN_DEFAULTS
     saved = SavedMaps.of(saved_maps, saved_paths)
-    given = (relations, odometry, truth, truth_map)
     files = RunFiles(
         Path(log),
-        *map(inputs.as_path, given),
+        *map(inputs.as_path, (relations, odometry, truth, truth_map)),
         scan_odometry=inputs.as_path(scan_odometry),
         saved_maps=saved.files,
     )

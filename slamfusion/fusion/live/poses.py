@@ -19,7 +19,7 @@ aligned (``starts``), if both have driven and one motion fits all of them.
 from __future__ import annotations
 
 import math
-from collections import OrderedDict
+from collections import Counter, OrderedDict
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -232,10 +232,7 @@ class PoseWatch:
         out: dict[str, str] = {}
         left = dict(apart)
         while left:
-            rivals: dict[str, int] = {}
-            for names in left:
-                for name in names:
-                    rivals[name] = rivals.get(name, 0) + 1
+            rivals = Counter(name for names in left for name in names)
             most = max(rivals.values())
             for name in sorted(name for name, count in rivals.items() if count == most):
                 words = {
