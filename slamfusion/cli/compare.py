@@ -53,8 +53,7 @@ def command(files: tuple[Path, ...], plot_path: Path | None) -> None:
     if print_if_json(found):
         return
     print_comparison(found)
-    if plot_path is not None:
-        print_facts(("plot", plot_path))
+    print_facts(("plot", plot_path))
 
 
 def print_comparison(found: ComparedResults) -> None:

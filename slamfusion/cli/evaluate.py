@@ -10,7 +10,7 @@ import click
 
 from slamfusion.cli import options, output, results, tables
 from slamfusion.cli.help import Command
-from slamfusion.cli.paths import CASE_MAP
+from slamfusion.cli.paths import CASE_MAP, case_folders
 from slamfusion.config import RunConfig
 from slamfusion.jobs.cases import CaseFile, case_names, place_files
 from slamfusion.jobs.documents import number
@@ -20,11 +20,6 @@ from slamfusion.jobs.outputs import PAGE
 if TYPE_CHECKING:
     from slamfusion.evaluation.distances import DistanceComparison
     from slamfusion.grid import OccupancyGrid
-
-
-def _report_folders(folder: Path, given: Mapping[str, Any]) -> list[Path]:
-    truths = given["truths"]
-    return [folder] if len(truths) < 2 else [folder / case for case in case_names(truths)]
 
 
 def _image_files(image: Path, given: Mapping[str, Any]) -> list[Path]:
@@ -62,7 +57,7 @@ def _image_files(image: Path, given: Mapping[str, Any]) -> list[Path]:
     "FILE",
     "Distances measured in the building (CSV or YAML), to compare with the map.",
 )
-@options.report("report_dir", _report_folders)
+@options.report("report_dir", lambda folder, given: case_folders(folder, given["truths"]))
 @options.picture(
     "--image",
     "image_path",
@@ -137,7 +132,7 @@ def command(
         results.print_repetitions(rows, "map")
     for comparison in found.distances:
         _print_distances(comparison)
-    pages = [] if report_dir is None else [own / PAGE for own in _report_folders(report_dir, given)]
+    pages = [] if report_dir is None else [own / PAGE for own in case_folders(report_dir, truths)]
     output.print_facts(
         *(("report", page) for page in pages), *(("image", image) for image in images)
     )

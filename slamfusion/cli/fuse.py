@@ -165,7 +165,7 @@ def _print_result(fused: FusedMaps, stem: Path, report_dir: Path | None) -> None
             (f"group {number}", f"{own}.yaml ({', '.join(item.name for item in other.accepted)})")
             for number, (other, own) in enumerate(zip(others, stems, strict=True), start=2)
         ),
-        *([] if report_dir is None else [("report", report_dir / outputs.PAGE)]),
+        ("report", report_dir and report_dir / outputs.PAGE),
         *output.map_server_facts(Path(f"{stem}.yaml")),
         ("next", f"slamfusion show {quoted}"),
         *[("", f"slamfusion evaluate {quoted} --truth TRUE_MAP.yaml")] * (not fused.evaluations),

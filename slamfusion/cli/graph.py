@@ -81,7 +81,7 @@ def optimize_command(
         ["time", f"{number(graph.time_s)} s"],
     ]
     print_table((" ", " "), rows, title=path.name, header=False)
-    print_facts(*((what, file) for what, file in (("graph", out), ("poses", tum_path)) if file))
+    print_facts(("graph", out), ("poses", tum_path))
 
 
 def _first_few(names: Iterable[str]) -> str:

@@ -11,7 +11,7 @@ import click
 
 from slamfusion.cli import options, output, results
 from slamfusion.cli.help import Command
-from slamfusion.cli.paths import CASE_FILE
+from slamfusion.cli.paths import CASE_FILE, case_folders
 from slamfusion.cli.tables import path_table, print_recommendation
 from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
@@ -26,8 +26,7 @@ if TYPE_CHECKING:
 
 
 def _report_folders(folder: Path, given: Mapping[str, Any]) -> list[Path]:
-    logs = (given["log"], *given["more_logs"])
-    return [folder] if len(logs) == 1 else [folder / case for case in case_names(logs)]
+    return case_folders(folder, (given["log"], *given["more_logs"]))
 
 
 @click.command(
@@ -129,8 +128,7 @@ def command(
     )
     results.save_results(document, rows, lambda: measured_inputs(placed, known))
     if not output.print_if_json(document):
-        given = {"log": log, "more_logs": more_logs}
-        _print(found, rows, [] if report_dir is None else _report_folders(report_dir, given))
+        _print(found, rows, [] if report_dir is None else case_folders(report_dir, logs))
     not_measured = [
         f"{case}: {sentence}" if several else sentence
         for case, own in found.items()

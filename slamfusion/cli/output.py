@@ -106,8 +106,10 @@ def _width() -> int:
 
 
 def print_facts(*facts: tuple[str, object]) -> None:
-    """Print a line for each subject: a file, on a terminal a link, or a command to use next."""
+    """Print a line for each subject: a file, on a terminal a link, or a command; none for None."""
     for subject, text in facts:
+        if text is None:
+            continue
         shown = str(text)
         if isinstance(text, Path) and sys.stdout.isatty():
             shown = f"\x1b]8;;{text.absolute().as_uri()}\x1b\\{shown}\x1b]8;;\x1b\\"

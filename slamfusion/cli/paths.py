@@ -12,7 +12,7 @@ from typing import Any
 import click
 
 from slamfusion.errors import SlamFusionError
-from slamfusion.jobs.cases import CaseFile
+from slamfusion.jobs.cases import CaseFile, case_names
 from slamfusion.jobs.inputs import check_writable, map_file
 from slamfusion.jobs.outputs import STORE_END
 
@@ -83,6 +83,11 @@ def stem_of(out: Path, suffixes: Collection[str]) -> Path:
     if out.name in {"", ".."} or (out.is_dir() and out.suffix != STORE_END):
         raise click.UsageError(f"-o {out}: name the map too, e.g. -o {out / 'map'}")
     return out.with_suffix("") if out.suffix in suffixes else out
+
+
+def case_folders(folder: Path, files: Sequence[CaseFile]) -> list[Path]:
+    """Return the folder of each case of several truths or logs; of one the folder itself."""
+    return [folder] if len(files) < 2 else [folder / case for case in case_names(files)]
 
 
 def check_paths(context: click.Context, given: Mapping[str, Any]) -> None:

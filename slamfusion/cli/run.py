@@ -231,17 +231,13 @@ def _print_tables(run: LogRun) -> None:
     _print_slams(run)
     if output.is_verbose():
         _print_details(run)
-    facts: list[tuple[str, object]] = []
-    if run.fused is not None:
-        facts.append(("fused map", f"{run.fused} ({run.fused_mode})"))
-    if run.fused_path is not None:
-        facts.append(("fused path", run.fused_path.file))
-    if run.drawn_map is not None:
-        facts.append(("drawn map", str(run.drawn_map.file)))
-    facts.append(("report", run.report))
-    if run.fused is not None:
-        facts.append(("next", f"slamfusion show {shlex.quote(str(run.folder))}"))
-    output.print_facts(*facts)
+    output.print_facts(
+        ("fused map", run.fused and f"{run.fused} ({run.fused_mode})"),
+        ("fused path", run.fused_path and run.fused_path.file),
+        ("drawn map", run.drawn_map and str(run.drawn_map.file)),
+        ("report", run.report),
+        ("next", run.fused and f"slamfusion show {shlex.quote(str(run.folder))}"),
+    )
 
 
 def _print_slams(run: LogRun) -> None:

@@ -122,6 +122,6 @@ def command(
             print_measures(found[0].trajectory, found[0].measures)
         else:
             results.print_items(rows, "path", ("ate_rmse_m", "relations_mean_m"))
-        print_facts(*([] if page is None else [("report", page)]))
+        print_facts(("report", page))
     if not_measured:
         raise SlamFusionError("; ".join(not_measured))
