@@ -210,7 +210,6 @@ class _Driver:
         self.tries = 0
         self.careful_s = 0.0
         self.ahead_m = AHEAD_M[self.drive.model]
-        self.reached_m = REACHED_M[self.drive.model]
 
     def follow(self, way: F64, number: int) -> None:
         """Follow one path to its end."""
@@ -226,7 +225,7 @@ class _Driver:
         self.tries = planned = 0
         for _ in range(most):
             x, y = robot.x, robot.y
-            if math.dist(points[last], (x, y)) <= self.reached_m:
+            if math.dist(points[last], (x, y)) <= REACHED_M[self.drive.model]:
                 return
             while at < last and math.dist(points[at + 1], (x, y)) <= math.dist(points[at], (x, y)):
                 at += 1

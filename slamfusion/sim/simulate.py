@@ -24,14 +24,7 @@ from slamfusion.sim.courses import Course, course_to_mapping
 from slamfusion.sim.drive import Motion, StuckError, follow_ways, read_odometry, run_script
 from slamfusion.sim.people import PERSON_RADIUS_M, draw_people, walk
 from slamfusion.sim.route import MARGIN_M, FreeSpace, Point
-from slamfusion.sim.world import (
-    World,
-    beam_angles,
-    mount_of,
-    sweep_ranges,
-    thin_walls,
-    time_increment_s,
-)
+from slamfusion.sim.world import World, beam_angles, mount_of, sweep_ranges, thin_walls
 from slamfusion.sim.worlds import Floor, draw_floor, pick_glass
 from slamfusion.trajectory import Trajectory
 
@@ -239,14 +232,14 @@ def _record(
     poses = motion.poses[::every]
     odometry = read_odometry(motion, course.drive, _chance(course, ODOMETRY_STREAM))[::every]
     stamps_s = np.arange(len(poses)) / lidar.rate_hz
-    increment_s = time_increment_s(lidar)
+    angle_min_rad, step_rad = beam_angles(lidar)
+    increment_s = lidar.turn_s * abs(step_rad) / math.tau
     sweeps = poses[:, None]
     if increment_s:
         times_s = stamps_s[:, None] + increment_s * np.arange(lidar.beams)
         steps_s = motion.step_s * np.arange(len(motion.poses), dtype=np.float64)
         sweeps = interpolate_poses(times_s, steps_s, motion.poses)
     ranges = sweep_ranges(world, lidar, sweeps, discs, device, _chance(course, LASER_STREAM))
-    angle_min_rad, step_rad = beam_angles(lidar)
     mount = mount_of(lidar)
     scans = []
     for index, (row, pose) in enumerate(zip(ranges, odometry.tolist(), strict=True)):

@@ -162,11 +162,6 @@ def beam_angles(lidar: LidarConfig) -> tuple[float, float]:
     return -turn * lidar.view_rad / 2.0, turn * lidar.view_rad / (lidar.beams - 1)
 
 
-def time_increment_s(lidar: LidarConfig) -> float:
-    """Return the time from one beam to the next, seconds."""
-    return lidar.turn_s * abs(beam_angles(lidar)[1]) / math.tau
-
-
 def sweep_ranges(
     world: World,
     lidar: LidarConfig,

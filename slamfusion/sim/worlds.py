@@ -122,7 +122,7 @@ class Canvas:
 
         A side is at least a cell and a half, so that a thin turned wall has no holes.
         """
-        x, y = self._offsets(centre)
+        x, y = self.offsets(centre)
         along = np.abs(math.cos(yaw_rad) * x + math.sin(yaw_rad) * y)
         across = np.abs(math.cos(yaw_rad) * y - math.sin(yaw_rad) * x)
         half_x, half_y = (max(side, 1.5 * self.resolution) / 2.0 for side in size)
@@ -130,10 +130,10 @@ class Canvas:
 
     def disc(self, centre: tuple[float, float], radius_m: float, value: int) -> None:
         """Set the cells whose centre lies in a disc."""
-        x, y = self._offsets(centre)
+        x, y = self.offsets(centre)
         self.cells[np.hypot(x, y) <= max(radius_m, self.resolution)] = value
 
-    def _offsets(self, centre: tuple[float, float]) -> tuple[F64, F64]:
+    def offsets(self, centre: tuple[float, float]) -> tuple[F64, F64]:
         """Return x (1, W) and y (H, 1) of every cell centre from a point, metres."""
         rows, cols = (np.arange(size, dtype=np.float64) + 0.5 for size in self.cells.shape)
         x = np.asarray(cols * self.resolution - centre[0], dtype=np.float64)
@@ -237,9 +237,8 @@ def _slanted_wall(canvas: Canvas, room: Rect) -> None:
     """Close off the upper left corner of a room by a wall at about 30 degrees."""
     x0, y0, x1, y1 = room
     reach_x, reach_y = 0.6 * (x1 - x0), 0.35 * (y1 - y0)
-    rows, cols = np.indices(canvas.cells.shape)
-    x = (cols + 0.5) * canvas.resolution - x0
-    y = y1 - (rows + 0.5) * canvas.resolution
+    x, up = canvas.offsets((x0, y1))
+    y = -up
     inside = (x > 0) & (y > 0) & (x < reach_x) & (y < reach_y)
     distance = (1 - x / reach_x - y / reach_y) / np.hypot(1 / reach_x, 1 / reach_y)
     behind = inside & (distance > canvas.wall_m) & (canvas.cells != OCCUPIED)
@@ -353,8 +352,7 @@ def _barricades(canvas: Canvas, start: F64, end: F64) -> None:
 
 def _inside(ring: F64, canvas: Canvas) -> B8:
     """Return which cell centres lie inside a closed ring of corners (N, 2), metres (even-odd)."""
-    rows, cols = ((np.arange(size) + 0.5) * canvas.resolution for size in canvas.cells.shape)
-    x, y = cols[None, :], rows[:, None]
+    x, y = canvas.offsets((0.0, 0.0))
     inside = np.zeros(canvas.cells.shape, dtype=np.bool_)
     for (x0, y0), (x1, y1) in zip(ring, np.roll(ring, -1, axis=0), strict=True):
         crosses = (y0 <= y) != (y1 <= y)

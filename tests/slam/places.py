@@ -19,7 +19,7 @@ from slamfusion.io.log import LogScan
 from slamfusion.json_values import plain
 from slamfusion.scan import LaserScan
 from slamfusion.slam.common.mapper import Mapper
-from slamfusion.slam.common.matcher import ScanOnTiles, response_information
+from slamfusion.slam.common.matcher import ScanOnTiles, information_of, response_hessian
 from slamfusion.slam.graph.slam import GraphSlam
 from slamfusion.slam.graph.submap import Submap
 from slamfusion.trajectory import Trajectory
@@ -249,7 +249,7 @@ class Place:
         """Return (3, 3) what a match tells."""
         at = np.array([pose.x, pose.y, pose.yaw_rad])
         scan = ScanOnTiles(self.device, self.submap.walls(), points, 180)
-        return response_information(scan, at)
+        return information_of(response_hessian(scan, at))
 
 
 def place_of(device: ComputeDevice, cells: U8, poses: list[Pose2]) -> Place:

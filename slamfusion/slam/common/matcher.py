@@ -286,13 +286,11 @@ _ARM_M = 5.0
 _UNITS = np.outer([1.0, 1.0, 1.0 / _ARM_M], [1.0, 1.0, 1.0 / _ARM_M])
 
 
-def response_information(scan: ScanOnTiles, pose: F64) -> F64:
-    """Return (3, 3) the information of a match (3,) along the axes of its map."""
-    return information_of(response_hessian(scan, pose))
-
-
 def information_of(hessian: F64) -> F64:
-    """Return (3, 3) the information of a match from the response's negative Hessian, (3, 3)."""
+    """Return (3, 3) the information of a match from the response's negative Hessian, (3, 3).
+
+    Both are along the axes of the match's map.
+    """
     values, vectors = np.linalg.eigh(RESPONSE_GAIN * hessian * _UNITS)
     kept = np.clip(values, MOST_SIGMA**-2.0, LEAST_SIGMA**-2.0)
     is_place = np.hypot(vectors[0], vectors[1]) > np.abs(vectors[2])

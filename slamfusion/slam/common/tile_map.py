@@ -225,14 +225,9 @@ class SharedTileMaps(_Tiles):
         return int((self._users > 0).sum()) * TILE * TILE * cell_bytes
 
     @property
-    def tiles_shared(self) -> int:
-        """Tiles that more than one map uses."""
-        return int((self._users > 1).sum())
-
-    @property
-    def tiles_owned(self) -> int:
-        """Tiles that one map uses alone."""
-        return int((self._users == 1).sum())
+    def owned_and_shared(self) -> tuple[int, int]:
+        """Numbers of the tiles that one map uses alone, and that several maps use."""
+        return int((self._users == 1).sum()), int((self._users > 1).sum())
 
     def page_table(self, index: int) -> DeviceArray[Any]:
         """Return one map's pages on the device."""

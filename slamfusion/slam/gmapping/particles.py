@@ -161,8 +161,6 @@ def normalised_weights(log_weights: F64, gain: float) -> F64:
 MATCHER_SHARE = 0.1
 # Entries of the score field's table by squared distance.
 TABLE_STEPS = 256
-# Most beams of a scan that are mapped, the limit of the counts; longer scans are thinned.
-MOST_MAPPED = MOST_BEAMS
 # Share of ``memory_budget`` at which particles are resampled for it: the rest is room for a scan.
 BUDGET_SHARE = 0.8
 BYTES_PER_MB = 1e6
@@ -227,7 +225,7 @@ class ParticleMaps(Stateful):
         """Integrate a scan into the maps of some particles, given the poses (N, 3) of all."""
         config, maps, device = self._config, self.tiles, self._device
         cell = config.delta
-        every = -(-len(beams.ends) // MOST_MAPPED)
+        every = -(-len(beams.ends) // MOST_BEAMS)  # the limit of the counts
         ends, is_hit, laser = beams.ends[::every], beams.is_hit[::every], beams.laser
         reach = float(np.hypot(*np.vstack((ends, laser)).T).max()) / cell + config.kernelSize + 1.0
         at = (poses - (*self.anchor, 0.0))[alive] / (cell, cell, 1.0)

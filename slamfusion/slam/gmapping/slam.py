@@ -214,8 +214,7 @@ class Gmapping(SavedMapper):
         health.filter_steps += 1
         health.best_score = float(scores[particles.best])
         health.path_entropy = self._paths.entropy()
-        tiles = self._maps.tiles
-        health.tiles_owned, health.tiles_shared = tiles.tiles_owned, tiles.tiles_shared
+        health.tiles_owned, health.tiles_shared = self._maps.tiles.owned_and_shared
         return health.best_score / len(points)
 
     def _parents(self, stamp_s: float) -> I64 | None:

@@ -26,7 +26,8 @@ from slamfusion.slam.common.matcher import (
     STARTS,
     PoseHypothesis,
     ScanOnTiles,
-    response_information,
+    information_of,
+    response_hessian,
     search_pose,
     spread_of,
 )
@@ -310,7 +311,7 @@ class ClosureSearch:
             return LITTLE_IN_COMMON
         if seen_score(match.score, unseen) < least:
             return LOW_RESPONSE
-        information = response_information(scan, match.pose)
+        information = information_of(response_hessian(scan, match.pose))
         (xx, xy, _), (_, yy, _), _ = np.linalg.inv(information).tolist()
         variance = 0.5 * (xx + yy) + math.hypot(0.5 * (xx - yy), xy)
         if variance > config.loop_match_maximum_variance:

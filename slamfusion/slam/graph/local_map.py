@@ -13,7 +13,7 @@ from slamfusion.config import GraphConfig
 from slamfusion.geometry import B8, F64, Pose2, wrapped_row_of
 from slamfusion.grid import IDENTITY
 from slamfusion.pose_graph.uncertainty import turned
-from slamfusion.slam.common.matcher import ScanOnTiles, information_of, response_information
+from slamfusion.slam.common.matcher import ScanOnTiles, information_of, response_hessian
 from slamfusion.slam.common.state import Stateful
 from slamfusion.slam.graph.map_graph import INFORMATION_SHARE, Constraint
 from slamfusion.slam.graph.node_map import Node
@@ -173,10 +173,8 @@ class LocalMap(Stateful):
         if hessian is None:
             beams = self._config.matcher.beams
             scan = ScanOnTiles(self._device, active.walls(), points, beams)
-            information = response_information(scan, row)
-        else:
-            information = information_of(hessian)
-        information = INFORMATION_SHARE * information
+            hessian = response_hessian(scan, row)
+        information = INFORMATION_SHARE * information_of(hessian)
         found = [Constraint(active.anchor, number, row, information)]
         if self.finished + 1 < len(self.submaps):
             between = self._next_pose

@@ -91,8 +91,7 @@ class Pair:
                 np.testing.assert_array_equal(found, wanted)
             assert not self.device.download(shared.pools[name])[0].any()
         users = np.bincount(shared.pages.ravel())
-        assert shared.tiles_owned == (users[1:] == 1).sum()
-        assert shared.tiles_shared == (users[1:] > 1).sum()
+        assert shared.owned_and_shared == ((users[1:] == 1).sum(), (users[1:] > 1).sum())
         np.testing.assert_array_equal(self.device.download(shared.page_tables), shared.pages)
         for index, pages in enumerate(shared.pages):
             np.testing.assert_array_equal(self.device.download(shared.page_table(index)), pages)

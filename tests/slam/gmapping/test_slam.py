@@ -203,7 +203,7 @@ class FullCopies(SharedTileMaps):
     def take_over(self, parents: npt.NDArray[np.int64]) -> None:
         super().take_over(parents)
         self.make_writable(self.pages > 0)
-        assert self.tiles_shared == 0
+        assert self.owned_and_shared[1] == 0
 
 
 def test_shared_tiles_change_no_bit(device: ComputeDevice, monkeypatch: pytest.MonkeyPatch):
