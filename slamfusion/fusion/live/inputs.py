@@ -343,8 +343,6 @@ class Input:
             own = lattice.origin.transform(np.array(cells, dtype=np.float64) * lattice.resolution)
         corners = a.transform(own) - b.transform(own)
         centre = own.mean(axis=0)
-        away_m = math.dist(
-            *(pose.transform((float(centre[0]), float(centre[1]))) for pose in (a, b))
-        )
+        away_m = math.dist(a.transform(centre), b.transform(centre))
         turn_rad = abs(wrap_angle(a.yaw_rad - b.yaw_rad))
         return away_m, turn_rad, float(np.hypot(corners[:, 0], corners[:, 1]).max())

@@ -215,9 +215,7 @@ class FusedLayers:
 
     def restore(self, state: LiveState) -> None:
         """Start with the last fused map of an earlier run, which has no layers yet."""
-        classes = np.array([UNKNOWN] * 256, dtype=np.int8)
-        classes[FREE], classes[OCCUPIED] = 0, 1
-        fused = cv2.LUT(state.fused.view(np.uint8), classes.view(np.uint8))
+        fused = cv2.LUT(state.fused.view(np.uint8), self._trinary)
         self._fused, self._agreement = np.asarray(fused).view(np.int8), state.agreement.copy()
         self.lattice, self.box = state.lattice, state.box
 
@@ -339,14 +337,12 @@ class FusedLayers:
             raise ValueError("nothing was fused yet")
         values = np.array([FREE, OCCUPIED] + [UNKNOWN] * 254, dtype=np.int8).view(np.uint8)
         cells = np.asarray(cv2.LUT(self._fused.view(np.uint8), values)).view(np.int8)
-        agreement = self._agreement.copy()
-        for array in (cells, agreement):
-            array.flags.writeable = False
+        cells.flags.writeable = False  # a grid copies others, as the agreement
         origin = self.fixed.corner(self.box.row0, self.box.col0)
         size = self.fixed.resolution
         return (
             OccupancyGrid(cells, size, origin, "fused"),
-            OccupancyGrid(agreement, size, origin, "agreement"),
+            OccupancyGrid(self._agreement, size, origin, "agreement"),
         )
 
 
