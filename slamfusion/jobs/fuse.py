@@ -199,8 +199,8 @@ def fuse_maps(
         result = fuse_grids(
             grids, config.fusion, device, progress, starts=starts, executor=executor
         )
-        if config.fusion.require_all:
-            _require_all(result.inputs, result.pairs, result)
+        if config.fusion.require_all and result.rejected:
+            raise AllRequiredError(result.rejected, result.pairs, result)
     except AlignmentError as error:
         error.grids = tuple(grids)
         raise
@@ -231,9 +231,10 @@ def _fuse_into(
     aligned = align_inputs(
         grids, fusion, device, progress, starts=starts, executor=executor, is_stored=True
     )
-    if fusion.require_all:
-        left_out = tuple(aligned.others[grid.name] for grid in grids if grid.name in aligned.others)
-        _require_all(left_out, aligned.pairs)
+    left_out = [aligned.others[grid.name] for grid in grids if grid.name in aligned.others]
+    rejected = [item for item in left_out if not item.accepted and item.copy_of is None]
+    if fusion.require_all and rejected:
+        raise AllRequiredError(rejected, aligned.pairs)
     votes = prepare_votes(
         aligned.groups, aligned.lattices, fusion, device, executor, progress, is_stored=True
     )
@@ -276,15 +277,6 @@ def _fuse_into(
     if stems[0] is not None:
         write_atomic(outputs.record_file(stems[0]), record_bytes(fused.document()))
     return fused
-
-
-def _require_all(
-    inputs: Sequence[InputRecord], pairs: tuple[Alignment, ...], result: FusionResult | None = None
-) -> None:
-    """Refuse a fusion that had to leave an input out."""
-    rejected = [item for item in inputs if not item.accepted and item.copy_of is None]
-    if rejected:
-        raise AllRequiredError(rejected, pairs, result)
 
 
 def group_stores(store: Path, count: int) -> tuple[Path, ...]:
