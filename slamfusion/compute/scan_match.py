@@ -105,6 +105,13 @@ def _span(low: float, high: float, size: int) -> tuple[int, int]:
     return first, min(max(math.ceil(high), first + LEAST_WINDOW), size) - first
 
 
+def upload_hits(points: F32, device: ArrayDevice) -> DeviceArray[np.float32]:
+    """Bring a scan's hits (P, 2), cells, in the robot's frame, to a device; see ``HIT_LANES``."""
+    padded = np.zeros((-(-len(points) // HIT_LANES) * HIT_LANES, 2), dtype=np.float32)
+    padded[: len(points)] = points
+    return device.upload(padded)[: len(points)]
+
+
 class ScanMatchDevice(ArrayDevice):
     """A device that matches scans.
 
@@ -112,12 +119,6 @@ class ScanMatchDevice(ArrayDevice):
     of one map (PH, PW) or of N maps (N, PH, PW), int32, whose border is empty; and the ``points``
     of a scan, see ``upload_hits``. All else comes from the host.
     """
-
-    def upload_hits(self, points: F32) -> DeviceArray[np.float32]:
-        """Bring a scan's hits (P, 2), cells, in the robot's frame, to the device."""
-        padded = np.zeros((-(-len(points) // HIT_LANES) * HIT_LANES, 2), dtype=np.float32)
-        padded[: len(points)] = points
-        return self.upload(padded)[: len(points)]
 
     def field_window(
         self,

@@ -24,7 +24,7 @@ import numpy.typing as npt
 from slamfusion.compute import ComputeDevice
 from slamfusion.compute.arrays import DeviceArray
 from slamfusion.compute.layout import CLIMBERS
-from slamfusion.compute.scan_match import FieldWindow
+from slamfusion.compute.scan_match import FieldWindow, upload_hits
 from slamfusion.geometry import F32, F64, corners, wrap_angle, wrap_angles
 
 # Distance, metres, between the five cells whose maximum the first look uses: the draws' spacing.
@@ -118,7 +118,7 @@ class ScanOnTiles:
         every = -(-len(points) // most_points)
         seconds = hits[:: 2 * every], hits[every :: 2 * every]
         looked_at = np.concatenate(seconds).astype(np.float32)
-        self._points = device.upload_hits(looked_at)
+        self._points = upload_hits(looked_at, device)
         # The first, wide look takes every second of them.
         self._few_points = self._points[: -(-len(looked_at) // 2)]
         col, row = np.floor(hits).astype(np.int64).T

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from slamfusion.compute import ComputeDevice
+from slamfusion.compute.scan_match import upload_hits
 from slamfusion.geometry import F32, F64, Pose2, compose_poses, invert_poses, row_of, wrap_angles
 from slamfusion.slam.common.matcher import pose_table
 from slamfusion.slam.gmapping.particles import ParticleMaps
@@ -234,7 +235,7 @@ class PoseSampler:
         sums = self._device.score_maps(
             self._maps.tiles.pools["field"],
             self._maps.tiles.page_tables,
-            self._device.upload_hits(looked_at),
+            upload_hits(looked_at, self._device),
             table,
             self._likelihood_table,
         )
@@ -257,7 +258,7 @@ class PoseSampler:
     def _hill_climb(self, hits: F32, expected: F64, drawn: F64, sigmas: F64) -> tuple[F64, F64]:
         """Return (N, 3) where hill climbing from the drawn poses ends, and (N,) mean scores."""
         config, cell, corner = self._config, self._config.delta, self._maps.corner
-        looked_at = self._device.upload_hits(hits)
+        looked_at = upload_hits(hits, self._device)
 
         def rows(poses: F64) -> F64:
             """Convert to cells of the window, headings near 0, within float32's precision."""

@@ -20,6 +20,7 @@ from slamfusion.compute.layout import (
     TILE,
     UNSEEN,
 )
+from slamfusion.compute.scan_match import upload_hits
 from tests.kernels.checks.sample import Arrays, Check, Sample, fetch
 
 
@@ -66,7 +67,7 @@ def _climb(device: ComputeDevice, sample: Sample) -> Arrays:
             np.concatenate(pair, axis=-1) for pair in zip((starts, steps), turned, strict=True)
         ]
         climbed = [table.astype(np.float32) for table in (losses, *tables)]
-        hits = device.upload_hits(points[::every])
+        hits = upload_hits(points[::every], device)
         window = device.field_window(field, table, centres[0, :2] - 130.0, centres[0, :2] + 130.0)
         results.append(device.download(window.cells)[:-1])
         results.append(device.climb(window, hits, *climbed, scale=1.0 / 9000.0))
@@ -95,7 +96,7 @@ def _climb_maps(device: ComputeDevice, sample: Sample) -> Arrays:
         device.climb_maps(
             field,
             tables,
-            device.upload_hits(points[::every]),
+            upload_hits(points[::every], device),
             *climbed,
             tries=tries,
             scale=1.0 / 9000.0,
@@ -113,7 +114,7 @@ def _score_maps(device: ComputeDevice, sample: Sample) -> Arrays:
     places = sample.rng.uniform(-0.2, 1.2, (2, 27, 2)) * size + sample.away
     poses = np.dstack((places, np.cos(yaw), np.sin(yaw))).astype(np.float32)
     table = sample.rng.integers(-5000, 5000, 256).astype(np.int32)
-    hits = [device.upload_hits(points[::every]) for every in (1, 3)]
+    hits = [upload_hits(points[::every], device) for every in (1, 3)]
     return [device.score_maps(field, tables, own, poses, table) for own in hits]
 
 
@@ -128,7 +129,7 @@ def _score_poses(device: ComputeDevice, sample: Sample) -> Arrays:
     window = device.field_window(field, table, np.zeros(2), size)
     counts = sample.rng.integers(-5000, 5000, 256).astype(np.int32)
     return [
-        device.score_poses(window, device.upload_hits(points[::every]), poses[:count], **options)
+        device.score_poses(window, upload_hits(points[::every], device), poses[:count], **options)
         for count, every, options in (
             (37, 1, {}),
             (37, 1, {"table": counts}),
