@@ -74,11 +74,13 @@ LEAST_SEEN, DRIFT = 3 * LEAST_HITS, 0.1
 ADDED_SCANS = 5
 # A stamp that goes back by more, seconds, is that of a new drive.
 BACK_S = 1.0
-# After a solution of the window there is a rest this many times as long as it took, and at least so
-# many seconds; likewise between solutions of the whole drive. Together at most 11 % of a core: in
-# between the pose goes by scans that match what was solved, so new places need new solutions.
+# A rest this many times as long as it took belongs to each solution of the window, and at least so
+# many seconds follow it; likewise for the whole drive. Together at most 11 % of a core: in between
+# the pose goes by scans that match what was solved, so new places need new solutions.
 REST, REST_S = 12.0, 2.0
 WHOLE_REST, WHOLE_REST_S = 29.0, 10.0
+# Seconds that solutions may take before they rest: the first ones of a drive are short and urgent.
+AHEAD_S = 1.0
 # Without a scan for so long, seconds, the drive is solved with all hits.
 STILL_S = 2.0
 
@@ -95,6 +97,8 @@ class Pace:
         self._scans = 0
         self._seen: dict[Depth, int] = dict.fromkeys(DEPTHS, 0)
         self._due_s: dict[Depth, float] = dict.fromkeys(DEPTHS, -np.inf)
+        # When all solutions so far have rested.
+        self._rested_s: dict[Depth, float] = dict.fromkeys(DEPTHS, -np.inf)
 
     def due(self, now_s: float, scans: int) -> Depth | None:
         """Return what is due after this number of scans, or None."""
@@ -109,11 +113,11 @@ class Pace:
     def done(self, depth: Depth, began_s: float, done_s: float) -> None:
         """Take note of a solution, of what ``due`` said last."""
         self._seen |= dict.fromkeys(DEPTHS[: DEPTHS.index(depth) + 1], self._scans)
-        took_s = done_s - began_s
-        if depth == "window":
-            self._due_s["window"] = done_s + max(REST_S, REST * took_s)
-        else:
-            self._due_s["whole"] = done_s + max(WHOLE_REST_S, WHOLE_REST * took_s)
+        kind: Depth = "window" if depth == "window" else "whole"
+        rest, least_s = (REST, REST_S) if depth == "window" else (WHOLE_REST, WHOLE_REST_S)
+        rested_s = max(self._rested_s[kind], done_s) + rest * (done_s - began_s)
+        self._rested_s[kind] = rested_s
+        self._due_s[kind] = max(done_s + least_s, rested_s - rest * AHEAD_S)
 
 
 @dataclass(frozen=True, eq=False)

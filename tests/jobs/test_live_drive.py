@@ -204,9 +204,10 @@ def test_the_last_seconds_are_solved_between_solutions_of_the_whole_drive() -> N
     assert 61.0 < last_s < 66.0
     waits_s = np.diff([now_s for now_s, _ in seen])
     assert waits_s.max() < 7.0
-    # Three seconds of 90 for the whole drive, half a second of 6.5 for the window.
-    assert depths.count("whole") == pytest.approx(60.0 / 90.0, abs=1.0)
-    assert depths.count("window") == pytest.approx(54.0 / 6.5, abs=3.0)
+    # Three seconds of 90 for the whole drive, half a second of 6.5 for the window, and one second
+    # ahead of each.
+    assert depths.count("whole") == pytest.approx(60.0 / 90.0 + 1.0 / 3.0, abs=1.0)
+    assert depths.count("window") == pytest.approx(54.0 / 6.5 + 1.0 / 0.5, abs=3.0)
 
 
 def test_the_window_continues_the_path_of_the_whole_drive(
