@@ -7,8 +7,8 @@ between the maps, and, if it is better than these, its **mirror image** and **an
 is the number of independent pieces of equal weight that prefer the answer; of good maps without
 what the fitted motion took to agree (``lines``), and the evidence of another pose counts by the
 share that it explains, of the answer's. The image has the same walls and is no place, so it fits as
-well as chance allows: for good maps that much is taken from ``n``. An image that would be accepted
-itself is no chance, but places that are nearly their own image are rare.
+well as chance allows: for good maps that much is taken from ``n``. Chance does not
+make an image that would be accepted itself, but places that are nearly their own image are rare.
 
 Two maps of a place are read in three ways; the weight of a piece depends on how well a reading
 fits:
