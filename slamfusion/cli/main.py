@@ -12,9 +12,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-# Objects after which Python looks for cycles: our own are few, and each look at what the imports
-# made takes as long as many scans.
-GC_OBJECTS = 100_000
+from slamfusion.cores import GC_OBJECTS
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -598,8 +598,9 @@ def _lines_of(logged: LogScan, last: LogScan | None, first: LaserScan) -> str:
     laser = robot.compose(scan.mount)
     # Mean forward (m/s) and turning (rad/s) speed since the last scan.
     speed_mps, turn_rps = 0.0, 0.0
-    if last is not None and (time_s := scan.stamp_s - last.scan.stamp_s) > 0.0:
-        motion = (last.odometry or IDENTITY).inverse().compose(robot)
+    before = None if last is None or logged.odometry is None else last.odometry
+    if before and last and (time_s := scan.stamp_s - last.scan.stamp_s) > 0.0:
+        motion = before.inverse().compose(robot)
         speed_mps, turn_rps = motion.x / time_s, motion.yaw_rad / time_s
     end = f"{scan.stamp_s:.9f} {_HOST} {scan.stamp_s - first.stamp_s:.6f}\n"
     ranges = _range_texts(scan)

@@ -98,7 +98,7 @@ class Pace:
         self._seen: dict[Depth, int] = dict.fromkeys(DEPTHS, 0)
         self._due_s: dict[Depth, float] = dict.fromkeys(DEPTHS, -np.inf)
         # When all solutions so far have rested.
-        self._rested_s: dict[Depth, float] = dict.fromkeys(DEPTHS, -np.inf)
+        self._rested_s: dict[Depth, float] = {}
 
     def due(self, now_s: float, scans: int) -> Depth | None:
         """Return what is due after this number of scans, or None."""
@@ -114,8 +114,8 @@ class Pace:
         """Take note of a solution, of what ``due`` said last."""
         self._seen |= dict.fromkeys(DEPTHS[: DEPTHS.index(depth) + 1], self._scans)
         kind: Depth = "window" if depth == "window" else "whole"
-        rest, least_s = (REST, REST_S) if depth == "window" else (WHOLE_REST, WHOLE_REST_S)
-        rested_s = max(self._rested_s[kind], done_s) + rest * (done_s - began_s)
+        rest, least_s = (REST, REST_S) if kind == "window" else (WHOLE_REST, WHOLE_REST_S)
+        rested_s = max(self._rested_s.get(kind, done_s), done_s) + rest * (done_s - began_s)
         self._rested_s[kind] = rested_s
         self._due_s[kind] = max(done_s + least_s, rested_s - rest * AHEAD_S)
 

@@ -19,8 +19,8 @@ from slamfusion.errors import SimulationError
 from slamfusion.geometry import B8, F64, I8, Pose2
 from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid, trinary_cells
 from slamfusion.io.map_server import load_map
+from slamfusion.sim.route import Point
 
-Point = tuple[float, float]
 # A rectangle as x0, y0, x1, y1 in metres from the canvas's lower-left corner.
 Rect = tuple[float, float, float, float]
 

@@ -177,11 +177,10 @@ class ProducerSession:
         self._wants_odometry = wants_odometry
         self._deskewer = Deskewer(config.log)
         self._clock = clock
-        self._producer, trial = self._make(), self._make()
-        self._new_drawer: Callable[[], Callable[[MapJob], OccupancyGrid]] | None = None
-        if isinstance(trial, DrawsAside):
-            drawing = open_drawing()
-            self._new_drawer = lambda: trial.map_drawer(drawing)
+        self._producer = self._make()
+        self._drawing: ComputeDevice | None = None
+        if isinstance(self._producer, DrawsAside):
+            self._drawing = open_drawing()
             self.drawn = Drawn(time_s=0.0)
         self._producer_generation = 0
         self._job: MapJob | None = None
@@ -189,9 +188,7 @@ class ProducerSession:
         self._drawer: tuple[int, Callable[[MapJob], OccupancyGrid]] | None = None
         # Rows of the last scans: stamp, then x, y and yaw of the pose and of the odometry.
         self._moved: deque[tuple[float, ...]] = deque(maxlen=MOTIONS)
-        _warm_up(trial)
-        if isinstance(trial, DrawsAside) and self._new_drawer is not None:
-            self._new_drawer()(trial.map_job())
+        _warm_up(self._make(), self._drawing)
 
     def begin_new_map(self) -> None:
         """Start a new map: scans queued from now on belong to it."""
@@ -327,8 +324,10 @@ class ProducerSession:
         if isinstance(grid, MapJob):
             begun_s = self._clock()
             if self._drawer is None or self._drawer[0] != item.generation:
-                assert self._new_drawer is not None  # noqa: S101  (else there is no job)
-                self._drawer = item.generation, self._new_drawer()
+                producer = self._producer  # of any generation: the settings are the same
+                assert isinstance(producer, DrawsAside)  # noqa: S101  (else there is no job)
+                assert self._drawing is not None  # noqa: S101  (opened for one that draws aside)
+                self._drawer = item.generation, producer.map_drawer(self._drawing)
             grid = self._drawer[1](grid)
             time_s = self._clock() - begun_s
         self.drawn = Drawn(self.drawn.maps, (grid.width, grid.height), time_s)
@@ -339,12 +338,14 @@ class ProducerSession:
         self.drawn = replace(self.drawn, maps=self.drawn.maps + 1)
 
 
-def _warm_up(trial: Mapper) -> None:
+def _warm_up(trial: Mapper, drawing: ComputeDevice | None) -> None:
     """Let a producer compile and run its kernels, on scans of a square room of 6 m."""
     angles = np.linspace(-np.pi, np.pi, WARM_UP_BEAMS, endpoint=False)
     ranges = (3.0 / np.maximum(np.abs(np.cos(angles)), np.abs(np.sin(angles)))).astype(np.float32)
     for index in range(3):
         scan = LaserScan(0.1 * index, ranges, -np.pi, 2.0 * np.pi / WARM_UP_BEAMS, 0.1, 20.0)
         trial.feed(scan, Pose2(0.3 * index, 0.0, 0.0))
-    if not isinstance(trial, DrawsAside):
+    if isinstance(trial, DrawsAside) and drawing is not None:
+        trial.map_drawer(drawing)(trial.map_job())
+    else:
         trial.grid()

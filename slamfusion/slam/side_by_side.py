@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Any
 
 from slamfusion.config import RunConfig
-from slamfusion.cores import usable_cores
+from slamfusion.cores import GC_OBJECTS, usable_cores
 from slamfusion.errors import ConfigError, SlamFusionError, unknown
 from slamfusion.fleet import interrupts_held, threads_limited
 from slamfusion.io.log import ScanLog
@@ -223,7 +223,7 @@ def _how_it_died(exit_code: int | None) -> str:
 
 
 def _work(name: str, source: ScanLog, config: RunConfig, answers: Connection) -> None:
-    gc.set_threshold(100_000)  # as ``slamfusion.cli.main`` does
+    gc.set_threshold(GC_OBJECTS)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the caller handles the interrupt
     os.dup2(2, 1)  # standard output belongs to the caller; drivers may print
     try:
