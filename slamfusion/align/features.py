@@ -312,7 +312,7 @@ class GridFeatures:
     @_kept
     def piece_words(self, sigma: float) -> tuple[ScoreTable, DeviceArray[Any]]:
         """Return the evidence of walls of a width in cells, and what their pieces look up."""
-        table, field = self.field(1, sigma, FIELD_TOP)
+        table, field = self.field(1, sigma, FIELD_TOP, 0.0)
         words = self.device.piece_words(
             field, self.level(1).distance2, self.cells,
             self.device.upload(self._facings()), base=table.base, span=table.span,
@@ -332,7 +332,7 @@ class GridFeatures:
 
     @_kept
     def field(
-        self, step: int, sigma: float, top: int, doubt: float = 0.0
+        self, step: int, sigma: float, top: int, doubt: float
     ) -> tuple[ScoreTable, DeviceArray[Any]]:
         """Return the evidence of a wall of the other map, and in each cell of a level, uint8."""
         table = evidence_table(self.chance(step, sigma), sigma, top, doubt)

@@ -346,8 +346,10 @@ def mirror_gain(pair: Pair, motion: F64, config: AlignConfig) -> float | None:
     own = float(weigh(pair, motion[None], "changed").total[0])
     if own <= 0.0:
         return None
-    image = best_image(pair, config, 1.0, "changed")
-    return 0.0 if image is None else max(0.0, image.total) / own
+    image = pair.mirrored()
+    _, motions = search(image, config, SearchWindow())
+    total = weigh(image, motions, "changed").total if len(motions) else np.zeros(1)
+    return max(0.0, float(total.max())) / own
 
 
 def estimate_scale(pair: Pair, motion: F64, reading: Reading, others: F64) -> float:

@@ -145,8 +145,8 @@ def score_shifts(
     height, width = rows[1] - rows[0], cols[1] - cols[0]
     lanes = -(-width // SHIFT_LANES) * SHIFT_LANES
     device = pair.device
-    ours, on_ref = pair.reference.field(step, COARSE_SIGMA, COARSE_TOP)
-    theirs, on_mov = pair.moving.field(step, COARSE_SIGMA, COARSE_TOP)
+    ours, on_ref = pair.reference.field(step, COARSE_SIGMA, COARSE_TOP, 0.0)
+    theirs, on_mov = pair.moving.field(step, COARSE_SIGMA, COARSE_TOP, 0.0)
     # Moving walls on the reference's field.
     ahead_shape = (height + 2 * reach + 1, lanes + 2 * reach + 1)
     corner = fixed_poses((cols[0] - reach, rows[0] - reach, 0.0))

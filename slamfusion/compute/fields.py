@@ -150,12 +150,12 @@ class FieldDevice(ArrayDevice):
         """
         if self.opencl:
             chunks = -(-distance2.size // COUNTED_CELLS)
-            partial = self.opencl.empty((chunks, DISTANCE2_MAX + 1), np.int32)
-            self.opencl.launch(
-                "known_by_distance", (1, chunks, 1), distance2, wall, free_share, distance2.size,
-                COUNTED_CELLS, chunks, partial,
+            partial = np.empty((chunks, DISTANCE2_MAX + 1), np.int32)
+            self.opencl.launch_into(
+                partial, "known_by_distance", (1, chunks, 1), distance2, wall, free_share,
+                distance2.size, COUNTED_CELLS, chunks,
             )  # fmt: skip
-            return np.asarray(self.download(partial).sum(axis=0, dtype=np.int64))
+            return np.asarray(partial.sum(axis=0, dtype=np.int64))
         known = np.where(host(wall) != 0, np.uint8(FIELD_ONE), host(free_share))
         sums = np.zeros(DISTANCE2_MAX + 1, dtype=np.int64)
         for row, weights in zip(host(distance2), known, strict=True):

@@ -31,8 +31,10 @@ from slamfusion.align.pair import Pair, displacement
 from slamfusion.align.records import Alignment
 from slamfusion.align.search import SearchResult
 from slamfusion.align.shifts import parallel_shifts
+from slamfusion.compute.lattice import cells_at
 from slamfusion.config import AlignConfig
 from slamfusion.geometry import F64, Pose2, pose_of, row_of
+from slamfusion.grid import UNKNOWN
 from slamfusion.pose_graph.graph import PoseGraph
 from slamfusion.pose_graph.optimize import optimize
 from slamfusion.pose_graph.uncertainty import inverted, moved
@@ -290,9 +292,7 @@ class GroupSearch:
             a, b, transform = b, a, transform.inverse()
         still, points = self.features[a].grid, self.ground[b]
         row, col = still.grid.cell_indices(transform.transform(points))
-        height, width = still.shape
-        inside = (row >= 0) & (row < height) & (col >= 0) & (col < width)
-        known = np.count_nonzero(still.cells[row[inside], col[inside]] >= 0)
+        known = np.count_nonzero(cells_at(still.cells, row, col, UNKNOWN) != UNKNOWN)
         return known / max(1, len(points))
 
     def _is_accepted(self, key: Key) -> bool:

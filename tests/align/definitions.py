@@ -64,7 +64,7 @@ def side_of(features: GridFeatures, sigma: float, top: int, doubt: float = 0.0) 
 
 def level_side(features: GridFeatures, step: int, sigma: float, top: int) -> Side:
     """What the device holds of a level: walls and field, which other tests judge."""
-    table, field = features.field(step, sigma, top)
+    table, field = features.field(step, sigma, top, 0.0)
     fetch = features.device.download
     walls = fetch(features.level(step).wall) != 0
     value = fetch(field).astype(int) - table.base
