@@ -196,7 +196,8 @@ def command(
             )
             progress(REPORT, 0, 1)
             run = save_run(run, out, probabilities=probabilities)
-    results.save_results(run, run_rows(run, case_of(logs[0])), lambda: _inputs(logs, asked))
+    rows = run_rows(run, case_of(logs[0])) if output.settings().results_path else []
+    results.save_results(run, rows, lambda: _inputs(logs, asked))
     _print(run)
     if is_opened:
         click.launch(str(run.report))

@@ -119,8 +119,7 @@ def _run(
 
         open_regular(resume, SlamFusionError).close()
     with progress_bar() as progress:
-        given = {"resume": resume, "progress": progress, "warn": notice, **asked}
-        mapped = map_log(log, name, config, **given)
+        mapped = map_log(log, name, config, resume=resume, progress=progress, warn=notice, **asked)
     saved = save_mapped_log(mapped, stem, probabilities=probabilities, state=state, report=report)
     if mapped.failure is not None:
         message = f"{mapped.failure} (the map and the path were written all the same)"

@@ -19,7 +19,7 @@ from slamfusion.evaluation import wall_faces
 from slamfusion.evaluation.distances import sample_on_lattice, wall_centres
 from slamfusion.evaluation.doubled_walls import doubled_wall_share
 from slamfusion.geometry import B8, F32, I8, I64, Pose2
-from slamfusion.grid import FREE, IDENTITY, OCCUPIED, UNKNOWN, OccupancyGrid, known_box
+from slamfusion.grid import FREE, IDENTITY, OCCUPIED, UNKNOWN, OccupancyGrid
 from slamfusion.json_values import POSE
 
 # Codes of ``MapError.difference``.
@@ -156,7 +156,7 @@ def compare_to_truth(
     config = config or RunConfig()
     tolerance_m = config.evaluate.tolerance_m
     grid, truth = (item.classified(config.fusion.normalize) for item in (grid, truth))
-    box = known_box(truth.cells)
+    box = truth.known_box()
     if box is None:
         raise GridError(
             f"{truth.name}: the truth has no cell that is surely free or occupied; "

@@ -346,7 +346,8 @@ def write_fusion_report(
         alignments = [item.alignment for item in fused.evaluations]
         sections.append(maps.error_section(fused.evaluations, alignments))
     sections.append(fusion_report.alignment_section(result))
-    sections.append(fusion_report.statistics_section(result, config))
+    doubled = None if fused.doubled is None else fused.doubled.of_maps(fusion_report.FUSED_MAP)
+    sections.append(fusion_report.statistics_section(result, config, doubled))
     banner = fusion_report.fusion_banner(result, failure)
     facts = fusion_report.saved_maps_facts(result, fused.evaluations)
     report = page.Page("SLAMfusion report", banner, facts, sections, config, result.device)

@@ -109,6 +109,10 @@ class DoubledWalls:
         aligned = ((layer.on(layer.box) == 1, layer.box) for layer in layers)
         return cls(shares, *fused_doubled_shares(result.fused.cells, aligned))
 
+    def of_maps(self, fused: str) -> dict[str, float]:
+        """Return the shares by the names of the maps, of which the fused one has this."""
+        return self.inputs | {fused: self.fused}
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class FusionRecord:

@@ -199,10 +199,8 @@ def run_log(  # noqa: PLR0915 - one page, a heading a stage
 
     # Measure everything by what is known.
     with stages.timed("errors"):
-        fused = None
-        if (result := fusion.result) is not None:
-            fusion = replace(fusion, doubled=DoubledWalls.of(result, config))
-            fused = result.fused.with_name(FUSED)
+        result = fusion.result
+        fused = None if result is None else result.fused.with_name(FUSED)
         evaluations: tuple[Evaluation, ...] = ()
         if true_map is not None and grids:
             more = (fused, None if drawn is None else drawn.grid)
@@ -211,6 +209,9 @@ def run_log(  # noqa: PLR0915 - one page, a heading a stage
                 evaluations = evaluate_maps(
                     measured, true_map, config, device, scale=scale, progress=progress
                 )
+        if result is not None:
+            known = {own.name: own.doubled_wall_share for own in evaluations[: len(grids)]}
+            fusion = replace(fusion, doubled=DoubledWalls.of(result, config, known))
         measures = {
             name: stages.measured(name, measure_run, run, config, ground_truth)
             for name, run in runs.items()

@@ -19,7 +19,7 @@ from slamfusion.slam.common.runner import ProducerRun
 
 # What the path is called that is made of those of the producers; among those of the verdict; and
 # the fused map among the doubled walls.
-FUSED_PATH, FUSED_VERDICT, FUSED_MAP = "fused path", "fused", "fused map"
+FUSED_PATH, FUSED_VERDICT = "fused path", "fused"
 
 
 def run_page(run: LogRun) -> page.Page:
@@ -48,7 +48,7 @@ def run_page(run: LogRun) -> page.Page:
     sections.append(_timings_section(run))
     if result is not None:
         walls = run.fusion.doubled
-        doubled = None if walls is None else walls.inputs | {FUSED_MAP: walls.fused}
+        doubled = None if walls is None else walls.of_maps(fusion_report.FUSED_MAP)
         sections.append(fusion_report.statistics_section(result, config, doubled))
     elif run.grids:
         table = maps.map_statistics(_classified(run))

@@ -26,7 +26,7 @@ from slamfusion import palette
 from slamfusion.config import PICTURE_FORMS
 from slamfusion.errors import SlamFusionError
 from slamfusion.geometry import B8, F64, I8, U8, Pose2
-from slamfusion.grid import CellBox, ClassifiedGrid, OccupancyGrid, box_origin
+from slamfusion.grid import CellBox, ClassifiedGrid, box_origin
 
 # Cells as -1 unknown, 0 free, 1 wall.
 Classes = I8
@@ -311,7 +311,7 @@ def cells_extent(shape: tuple[int, ...], side_m: float, corner: Pose2) -> Bbox:
     return box_of(corner.transform([(0, 0), (wide, 0), (0, tall), (wide, tall)]))
 
 
-def place_extent(poses: F64, grid: OccupancyGrid | None) -> Bbox:
+def place_extent(poses: F64, grid: ClassifiedGrid | None) -> Bbox:
     """Return the box of poses, (N, 3) x, y, yaw, and of what the map knows, where there is one."""
     if grid is None:
         return box_of(poses)

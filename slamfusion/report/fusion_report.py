@@ -16,6 +16,9 @@ from slamfusion.report.canvas import Classes, crop_box, draw_places
 from slamfusion.report.layers import fusion_layers
 from slamfusion.trajectory import Trajectory
 
+# What tables call the map that was fused.
+FUSED_MAP = "fused map"
+
 
 def fusion_banner(result: FusionResult, failure: str | None) -> page.Banner:
     """Say first which maps vote, and loudest which do not."""
@@ -217,9 +220,9 @@ def statistics_section(
     """Return the weights of the voters, the agreement of walls, and the maps in numbers.
 
     Args:
-        doubled: known shares of doubled walls by name; the fused map's is ``fused map``.
+        doubled: known shares of doubled walls by name; the fused map's is ``FUSED_MAP``.
     """
-    grids = [*(record.grid for record in result.inputs), result.fused.with_name("fused map")]
+    grids = [*(record.grid for record in result.inputs), result.fused.with_name(FUSED_MAP)]
     found = page.tables().votes(result, _outvoted)
     classified = [grid.classified(config.fusion.normalize) for grid in grids]
     found += maps.map_statistics(classified, doubled or {})

@@ -20,7 +20,7 @@ from slamfusion.evaluation.doubled_walls import doubled_wall_share
 from slamfusion.evaluation.measured import Figure as Measure
 from slamfusion.evaluation.measured import face_figures, shown_figures
 from slamfusion.geometry import B8, F64, U8, Pose2
-from slamfusion.grid import CellBox, ClassifiedGrid, OccupancyGrid, box_origin, known_box
+from slamfusion.grid import CellBox, ClassifiedGrid, OccupancyGrid, box_origin
 from slamfusion.report import canvas
 from slamfusion.report.page import Picture, Section, tables
 from slamfusion.web.scene import layer_name
@@ -205,7 +205,7 @@ def pair_overlay(
     colours: Mapping[str, palette.Rgb],
 ) -> Picture | None:
     """Overlay two classified maps; None if they are too far apart or one is all unknown."""
-    own, other = known_box(reference.cells), known_box(moving.cells)
+    own, other = reference.known_box(), moving.known_box()
     if own is None or other is None:
         return None
     corners = [(col, row) for row in (other.row0, other.row1) for col in (other.col0, other.col1)]
