@@ -99,7 +99,6 @@ def name_processor() -> PoclState | None:
     return state
 
 
-@cache
 def is_refused(device: Any) -> bool:
     """Return whether a device is one of the wheel's PoCL, and that cannot build for it."""
     state, path = name_processor(), wheel_library()
