@@ -4,19 +4,23 @@
 
 A simulated laser of 360 beams at 10 Hz (or ``--log``, a recorded one) drives through an office; the
 player sends at rate 1, each node is a process, all over DDS. Shown for each node: wall and
-processor time until it is ready; its memory then, a quarter of the way in and at the end; its
-processor time a second while it runs, also by thread. For each producer also: the error of the
-poses that it told (root mean square of the places, and the 95th percentile) against that of the
-same scans fed one by one, scans dropped, the longest queue, and the latency over scans (median and
-95th percentile of the last 300, at the end and at its worst). For the fusion: the latency from a
-map's arrival to the fused map's publication. A busy machine shows in all of it: the load is printed
-too.
+processor time until it is ready; its resident memory then, and while it runs the mean, the most and
+the last; the mean of its share of memory (PSS: a page of a library that N processes map counts an
+Nth); its processor time a second while it runs, also by thread. For each producer also: the error
+of the poses that it told (root mean square of the places, and the 95th percentile) against that of
+the same scans fed one by one, scans dropped, the longest queue, and the latency over scans (median
+and 95th percentile of the last 300, at the end and at its worst). For the fusion: the latency from
+a map's arrival to the fused map's publication. A busy machine shows in all of it: the load is
+printed too.
+
+The nodes load PoCL alone: the tests' OpenCL simulator, which no user has, takes 20 MB of each.
 """
 
 from __future__ import annotations
 
 import argparse
 import dataclasses
+import importlib.util
 import os
 import sys
 import tempfile
@@ -26,10 +30,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 from geometry_msgs.msg import PoseStamped
 from rich.table import Table
 
 from slamfusion.compute import open_device
+from slamfusion.compute.device import VENDORS
 from slamfusion.config import RunConfig, SimulateConfig, TrajectoryConfig
 from slamfusion.evaluation.trajectory_error import trajectory_errors
 from slamfusion.io import open_log
@@ -41,7 +47,6 @@ from slamfusion.sim.courses import named_course, with_overrides
 from slamfusion.sim.simulate import Recording, simulate
 from slamfusion.slam.registry import make_producer
 from slamfusion.trajectory import Trajectory
-from tests.benchmarks.bench_hours import resident_mb
 from tests.benchmarks.record import add_record_option, console_for
 from tests.ros.drives import as_sent
 from tests.ros.live import Observer, Process, Processes, free_domain, ros_environment, values
@@ -51,6 +56,7 @@ RATE_HZ = 10.0
 SAMPLE_S = 5.0
 # Threads with a smaller share, percent of a core, are left out.
 LEAST = 0.3
+MEMORY = ("MB: ready", "mean", "most", "at the end", "mean share")
 
 
 def record(minutes: float) -> Recording:
@@ -74,7 +80,7 @@ class Watch:
     process: Process
     status: str
     ready: str
-    resident_mb: list[float] = field(default_factory=list)
+    memory_mb: list[tuple[float, float]] = field(default_factory=list)  # resident, and its share
     waiting: list[int] = field(default_factory=list)
     p95_ms: list[float] = field(default_factory=list)
     figures: dict[str, str] = field(default_factory=dict)
@@ -99,13 +105,27 @@ class Watch:
     def look(self, observer: Observer) -> None:
         """Note memory, processor time by thread and what the diagnostics say."""
         number = self.process.process.pid
-        self.resident_mb.append(resident_mb(number))
+        self.memory_mb.append(memory_mb(number))
         self.looked_s, self.cpu_s = time.monotonic(), cpu_s(number)
         told = observer.statuses().get(self.status)
         if told is not None:
             self.figures = values(told)
             self.waiting.append(int(self.figures.get("scans waiting", 0)))
             self.p95_ms.append(float(self.figures["latency p95 [ms]"]))
+
+
+def memory_mb(number: int) -> tuple[float, float]:
+    """Return the resident memory of a process, and with shared pages counted once in all (PSS)."""
+    lines = Path(f"/proc/{number}/smaps_rollup").read_text().splitlines()
+    kilobytes = dict(line.split()[:2] for line in lines[1:])
+    return 1.024e-3 * int(kilobytes["Rss:"]), 1.024e-3 * int(kilobytes["Pss:"])
+
+
+def pocl_alone() -> dict[str, str]:
+    """Return the environment in which OpenCL's loader loads the PoCL of the wheels alone."""
+    spec = importlib.util.find_spec("pyopencl")
+    entry = Path(spec.origin if spec and spec.origin else "").parent / ".libs" / "pocl.icd"
+    return {VENDORS: str(entry)} if entry.exists() else {}
 
 
 def cpu_s(number: int) -> dict[str, float]:
@@ -129,7 +149,7 @@ def started(run: Processes, kind: str, folder: Path) -> Watch:
     number = process.process.pid
     took = f"{time.monotonic() - began_s:.1f} / {sum(cpu_s(number).values()):.1f}"
     status = "fusion: fusion" if kind == "fusion" else f"{kind}: slam"
-    return Watch(process, status, took, [resident_mb(number)])
+    return Watch(process, status, took, [memory_mb(number)])
 
 
 def error_cm(poses: Trajectory, truth: Trajectory) -> str:
@@ -161,7 +181,7 @@ def play(log: Path, folder: Path, seconds: float) -> tuple[dict[str, Watch], dic
     """Run all nodes on the log, and return what was seen of each and the poses they told."""
     with (
         free_domain() as domain,
-        Processes(ros_environment(domain), folder) as run,
+        Processes(ros_environment(domain) | pocl_alone(), folder) as run,
         Observer(domain) as observer,
     ):
         poses = {kind: observer.collect(PoseStamped, f"{kind}/pose") for kind in PRODUCERS}
@@ -182,19 +202,27 @@ def play(log: Path, folder: Path, seconds: float) -> tuple[dict[str, Watch], dic
         return watches, {kind: heard(kind, items) for kind, items in poses.items()}
 
 
+def memory_cells(memory_mb: npt.ArrayLike) -> list[str]:
+    """Return the cells of ``MEMORY`` for the memory over time, (N, 2), the first when ready."""
+    resident_mb, shares_mb = np.array(memory_mb).T
+    running_mb = resident_mb[1:]
+    found = (resident_mb[0], running_mb.mean(), running_mb.max(), running_mb[-1])
+    return [f"{mb:.0f}" for mb in (*found, shares_mb[1:].mean())]
+
+
 def table_of(watches: dict[str, Watch], online: dict[str, str], alone: dict[str, str]) -> Table:
     """Return the table, a row for each node."""
     table = Table(title=f"{os.cpu_count()} cores, load {os.getloadavg()[1]:.1f} over five minutes")
     columns = (
         "node", "error cm: live", "offline", "fed", "dropped", "longest queue",
-        "latency ms: median", "p95", "worst p95", "ready s: wall / CPU", "MB then", "a quarter in",
-        "at the end", "CPU %", "its threads",
+        "latency ms: median", "p95", "worst p95", "ready s: wall / CPU", *MEMORY, "CPU %",
+        "its threads",
     )  # fmt: skip
     for column in columns:
         table.add_column(column)
     for name, watch in watches.items():
         told = watch.figures
-        mb, shares = watch.resident_mb, watch.shares()
+        shares = watch.shares()
         table.add_row(
             name,
             online.get(name, "-"),
@@ -206,21 +234,15 @@ def table_of(watches: dict[str, Watch], online: dict[str, str], alone: dict[str,
             told["latency p95 [ms]"],
             f"{max(watch.p95_ms):.4g}",
             watch.ready,
-            f"{mb[0]:.0f}",
-            f"{mb[len(mb) // 4]:.0f}",
-            f"{mb[-1]:.0f}",
+            *memory_cells(watch.memory_mb),
             f"{sum(shares.values()):.1f}",
             ", ".join(f"{part} {share:.1f}" for part, share in shares.items() if share >= LEAST),
         )
-    everything = [sum(watch.resident_mb[at] for watch in watches.values()) for at in (0, -1)]
+    # All at the same times.
+    together = np.sum([watch.memory_mb for watch in watches.values()], axis=0)
     cpu = sum(sum(watch.shares().values()) for watch in watches.values())
-    cells = [""] * len(columns)
-    cells[0], cells[-5], cells[-3], cells[-2] = (
-        "all",
-        *(f"{n:.0f}" for n in everything),
-        f"{cpu:.1f}",
-    )
-    table.add_row(*cells)
+    blank = [""] * (len(columns) - len(MEMORY) - 3)
+    table.add_row("all", *blank, *memory_cells(together), f"{cpu:.1f}", "")
     return table
 
 
