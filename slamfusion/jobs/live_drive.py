@@ -130,6 +130,7 @@ class DriveSolution:
         conditions: problems of the drive, in words.
         is_final: whether it is the answer of ``run``.
         walls: seen by the scans along the path; new scans are matched to them.
+        generation: counts the drives; a solution of one that was forgotten is not taken.
     """
 
     path: Trajectory
@@ -137,6 +138,7 @@ class DriveSolution:
     conditions: Mapping[Condition, str]
     is_final: bool
     walls: WallMap | None
+    generation: int
 
     @property
     def supported(self) -> Mapping[str, Pose2]:
@@ -146,13 +148,18 @@ class DriveSolution:
 
 
 class LiveDrive:
-    """Keeps scans and poses from any thread and solves the drive; ``solve`` is for one thread."""
+    """Keeps scans and poses from any thread and solves the drive; ``solve`` is for one thread.
+
+    Attributes:
+        solution: the one that was taken last; None before the first.
+    """
 
     def __init__(self, device: ComputeDevice) -> None:
         """Start without scans; ``device`` is that of the thread of ``solve``."""
         self._device = device
         self._lock = threading.RLock()
         self._generation = 0
+        self.solution: DriveSolution | None = None
         self._scans: list[ScanHits] = []
         # By input: stamp, x, y and yaw of each pose.
         self._poses: dict[str, list[list[float]]] = {}
@@ -165,10 +172,9 @@ class LiveDrive:
         # The stamp of the last scan that a solution of the whole drive has.
         self._whole_until_s = -np.inf
         self._doubts: Mapping[str, str] = {}
-        # The walls of the solution that was taken, and with what was seen since; the last scans
-        # that have a pose, with it, and the number of located ones; and by input the motion of its
-        # map frame into the fused frame with the covariance of the pose that it gives.
-        self._walls: WallMap | None = None
+        # The walls of the solution with those seen since; the last scans that have a pose, with
+        # it, and the number of located ones; and by input the motion of its map frame into the
+        # fused frame with the covariance of the pose that it gives.
         self._grown: WallMap | None = None
         self._located: list[tuple[ScanHits, F64]] = []
         self._added = 0
@@ -230,17 +236,19 @@ class LiveDrive:
             self._scans.clear()
             self._poses.clear()
             self._blind_s.clear()
-            self._walls = self._grown = None
+            self.solution = self._grown = None
             self._located, self._corrections = [], {}
 
     # -- where the robot is, from any thread -------------------------------------------------------
 
-    def take(self, solution: DriveSolution) -> None:
-        """Locate poses by a solution from now on; return what it took to the system."""
+    def take(self, solution: DriveSolution) -> bool:
+        """Locate poses by a solution from now on; return whether its drive is still this one."""
         return_freed_memory()
         path = solution.path
         with self._lock:
-            self._walls = self._grown = solution.walls
+            if solution.generation != self._generation:
+                return False
+            self.solution, self._grown = solution, solution.walls
             recent = self._scans[-2 * LEAST_SCANS :]
             near, meets = path.matches(np.array([own.stamp_s for own in recent]))
             self._located = [(recent[at], path.poses[near[at]]) for at in np.flatnonzero(meets)]
@@ -248,6 +256,7 @@ class LiveDrive:
                 name: (motion, _variances(CORRECTION_M, CORRECTION_RAD))
                 for name, motion in solution.supported.items()
             }
+        return True
 
     def locate(self, name: str, stamp_s: float, pose: Pose2) -> ScanMatch | None:
         """Return the fused-frame pose of a new pose in an input's map frame, or None.
@@ -257,7 +266,7 @@ class LiveDrive:
         covariance is that of the match and of the walls.
         """
         with self._lock:
-            solved, grown, last = self._walls, self._grown, self._corrections.get(name)
+            solution, grown, last = self.solution, self._grown, self._corrections.get(name)
             recent = self._scans[: -LEAST_SCANS - 1 : -1]
             scan = next((own for own in recent if abs(own.stamp_s - stamp_s) <= SAME_STAMP_S), None)
             located = self._located[-1][1] if self._located else None
@@ -267,7 +276,7 @@ class LiveDrive:
         expected = motion.compose(pose)
         way_m = 0.0 if located is None else math.dist((expected.x, expected.y), located[:2])
         covariance = before + _variances(STEP_M + DRIFT * way_m, STEP_RAD + DRIFT * way_m)
-        if solved is None or grown is None:
+        if solution is None or solution.walls is None or grown is None:
             return ScanMatch(expected, covariance, fits=False)
         found = None if scan is None else grown.match(scan, expected, covariance)
         if scan is None or found is None or not found.fits:
@@ -288,8 +297,8 @@ class LiveDrive:
             path = Trajectory(scans.stamps_s, np.array([row for _, row in added]), FUSED)
             seen = WallMap.of(scans, path, covariance)
             with self._lock:
-                if seen is not None and self._walls is solved:
-                    self._grown = solved.joined(seen)
+                if seen is not None and self.solution is solution:
+                    self._grown = solution.walls.joined(seen)
         return replace(found, covariance=covariance)
 
     def _thin_out(self) -> None:
@@ -364,8 +373,6 @@ class LiveDrive:
             if self._drawer is None or self._drawer.lattice != own_lattice:
                 self._drawer = MapDrawer(self._device, own_lattice)
             drawn = self._drawer.draw(kept, path, DRAWN)
-        if self._generation != generation:
-            return None  # it was forgotten meanwhile
         corrections = {name: _correction(own, path) for name, own in paths.items()}
         drift = DRIFT * _blind_m(path, blind_s)
         covariance = _disagreement(evidence, contradicted) + _variances(drift, drift)
@@ -375,6 +382,7 @@ class LiveDrive:
             drive_conditions(evidence, FUSED),
             depth == "final",
             WallMap.of(scans, path, covariance),
+            generation,
         )
 
     def _continued(

@@ -57,14 +57,12 @@ class DriveInput:
 
     Attributes:
         live: the drive so far; takes the poses of the inputs.
-        solution: the last one; None before the first. Any thread may read it.
     """
 
     def __init__(
         self, node: FusionNode, device: str, on_solution: Callable[[DriveSolution], None]
     ) -> None:
         settings = node.settings
-        self.solution: DriveSolution | None = None
         self._node, self._on_solution = node, on_solution
         self._deskewer = Deskewer(LogConfig(deskew=settings.deskew, sweep_s=settings.sweep_s))
         self.live = LiveDrive(node.open_device(device))
@@ -72,14 +70,9 @@ class DriveInput:
         self._path_topic = node.node.create_publisher(Path, PATH_TOPIC, qos.MAP)
         self._reader: Worker[ArrivedScan] = Worker(self._read, SCAN_QUEUE, node.failed, "scans")
         self._solver: Worker[None] = Worker(self._solve, 1, node.failed, "drive")
-        self.scans = ScanInput(node, settings, self._reader.put, self.forget)
+        self.scans = ScanInput(node, settings, self._reader.put, self.live.forget)
 
     # --- in the executor's thread --------------------------------------------------------------
-
-    def forget(self) -> None:
-        """Start a new drive."""
-        self.live.forget()
-        self.solution = None
 
     def look(self, sources: Mapping[str, MapSource]) -> None:
         """Subscribe to the inputs' paths once scans arrive; start the solver."""
@@ -125,10 +118,8 @@ class DriveInput:
             resolution=state.resolution if settings.draw else None,
         )
         self._pace.done(depth, began_s, time.monotonic())
-        if solution is None:
+        if solution is None or not self.live.take(solution):
             return
-        self.solution = solution
-        self.live.take(solution)
         self._on_solution(solution)
         if self._path_topic.get_subscription_count():
             stamp = messages.to_stamp(float(solution.path.stamps_s[-1]))
@@ -285,7 +276,7 @@ class FusedFrames:
         return self._children.of(source.name, topic, source.frame)
 
     def _read(self) -> None:
-        self._state, solution = self._node.session.snapshot, self._node.drive.solution
+        self._state, solution = self._node.session.snapshot, self._node.drive.live.solution
         self._supported = () if solution is None else solution.supported
 
     def _send(self, source: MapSource, heard: HeardPose, *, is_revised: bool) -> None:

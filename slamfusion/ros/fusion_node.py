@@ -391,7 +391,7 @@ class FusionNode(NodeBase):
 
     def ask_reset(self) -> None:
         """Start a new fused frame; from any thread."""
-        self.drive.forget()
+        self.drive.live.forget()
         self._name_conditions({})
         self.session.ask_reset()
         self._wake()
@@ -419,7 +419,7 @@ class FusionNode(NodeBase):
         if self._keeper.is_waiting(self.fusion.has_come):
             self.session.send()
             return
-        solution = self.drive.solution
+        solution = self.drive.live.solution
         self.session.turn()
         if solution is not None and solution.is_final and self.session.waiting is None:
             self._final_s = float(solution.path.stamps_s[-1])
@@ -495,7 +495,7 @@ class FusionNode(NodeBase):
         if voters == 1 and self.live.minimum_inputs > 1:
             words += "; it goes on alone, and no other confirms it"
             level = max(level, Level.WARN)
-        update, solution = snapshot.update, self.drive.solution
+        update, solution = snapshot.update, self.drive.live.solution
         grid = None if published is None else published[1]
         values: dict[str, object] = {
             "inputs": len(lines),

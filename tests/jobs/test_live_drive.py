@@ -355,6 +355,9 @@ def test_new_poses_are_located_on_the_solved_walls(device: ComputeDevice) -> Non
     assert np.all(np.diag(unsure.covariance) > (0.09, 0.04, 0.01))
     robot.live.forget()
     assert robot.live.locate("a", 1e3, drifted) is None
+    # One that was computed meanwhile is in the frame of the old drive.
+    assert not robot.live.take(solution)
+    assert robot.live.locate("a", 1e3, drifted) is None
 
 
 def test_where_scans_see_too_little_the_pose_is_less_sure(device: ComputeDevice) -> None:
