@@ -29,7 +29,7 @@ from slamfusion.config import FusionConfig
 from slamfusion.errors import TrajectoryError
 from slamfusion.evidence.beams import ScanHits, no_common_time
 from slamfusion.fusion.lattice_vote import warp_onto
-from slamfusion.geometry import B8, I8, I32, I64, U32, Pose2, moved_poses
+from slamfusion.geometry import B8, I8, I32, I64, U8, U32, Pose2, moved_poses
 from slamfusion.grid import FREE, IDENTITY, OCCUPIED, UNKNOWN, CellBox, OccupancyGrid, known_box
 from slamfusion.slam.common.beam_counts import BeamCounts, Beams
 from slamfusion.trajectory import Trajectory
@@ -110,11 +110,8 @@ class MapDrawer:
         fresh = [scan for scan in placed if scan.stamp_s not in self._laid]
         if fresh:
             self._lay(fresh, [wanted[scan.stamp_s] for scan in fresh])
-        hits, visits, corner = self._stopped.cells()
-        walls = _is_wall(hits, visits)
-        cells = np.where(visits >= LEAST_VISITS, np.int8(FREE), np.int8(UNKNOWN))
-        cells[walls] = OCCUPIED
-        cells = _without_specks(cells, LEAST_AREA_M2 / resolution**2)
+        cells, corner = self._stopped.cells(_trinary, np.int8)
+        _remove_specks(cells, LEAST_AREA_M2 / resolution**2)
         box = known_box(cells)
         if box is not None:
             # Not by ``OccupancyGrid.crop``, so that the origin is rounded only once.
@@ -127,15 +124,14 @@ class MapDrawer:
         """Count scans that are not counted yet, some at a time."""
         resolution = self.lattice.resolution
         parts = [slice(first, first + PART) for first in range(0, len(scans), PART)]
-        wholes = [Beams.of(scans[part], poses[part], resolution) for part in parts]
-        for whole in wholes:
+        for part in parts:
+            whole = Beams.of(scans[part], poses[part], resolution)
             self._whole.count(whole, self._whole.place(whole), 1)
-        hits, visits, corner = self._whole.cells()
-        walls = np.where(_is_wall(hits, visits), np.uint8(WALL), np.uint8(OPEN))
-        cells = self._device.upload(walls)
-        stopped = [_cut_off(one, cells, corner, self._device, resolution) for one in wholes]
-        self._stopped.cover(stopped)
-        for part, beams in zip(parts, stopped, strict=True):
+        cells, corner = self._whole.cells(_walls, np.uint8)
+        walls = self._device.upload(cells)
+        for part in parts:  # placed again: all beams at once take more than their map
+            whole = Beams.of(scans[part], poses[part], resolution)
+            beams = _cut_off(whole, walls, corner, self._device, resolution)
             ends, firsts = self._stopped.place(beams), beams.firsts[1:-1]
             self._stopped.count(beams, ends, 1)
             own = np.split(ends, firsts), np.split(beams.is_hit, firsts)
@@ -168,18 +164,31 @@ class _LaidScan(NamedTuple):
 
 
 def _is_wall(hits: U32, visits: U32) -> B8:
-    """Return which cells are walls, (H, W) bool."""
+    """Return which cells are walls."""
     return np.asarray((hits >= LEAST_HITS) & (BEAMS_PER_HIT * hits > visits))
 
 
-def _without_specks(cells: I8, least_cells: float) -> I8:
-    """Return (H, W) cells without small patches of known ones that touch no others."""
+def _walls(hits: U32, visits: U32) -> U8:
+    """Return walls as rays meet them."""
+    return np.where(_is_wall(hits, visits), np.uint8(WALL), np.uint8(OPEN))
+
+
+def _trinary(hits: U32, visits: U32) -> I8:
+    """Return the cells of a map."""
+    cells = np.where(visits >= LEAST_VISITS, np.int8(FREE), np.int8(UNKNOWN))
+    cells[_is_wall(hits, visits)] = OCCUPIED
+    return cells
+
+
+def _remove_specks(cells: I8, least_cells: float) -> None:
+    """Remove small patches of known ones that touch no others from (H, W) cells."""
     known = (cells != UNKNOWN).view(np.uint8)
     _, of, figures, _ = cv2.connectedComponentsWithStats(known, connectivity=8)
     sizes = figures[:, cv2.CC_STAT_AREA]
     # The largest is the map, however small that is.
-    least = min(least_cells, sizes[1:].max(initial=0))
-    return np.where((sizes < least)[of], np.int8(UNKNOWN), cells)
+    is_small = sizes < min(least_cells, sizes[1:].max(initial=0))
+    for row, numbers in zip(cells, of, strict=True):  # an index of all takes eight bytes a cell
+        row[is_small[numbers]] = UNKNOWN
 
 
 def _cut_off(

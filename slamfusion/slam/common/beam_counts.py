@@ -7,9 +7,9 @@ one of them from scratch.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -19,6 +19,8 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.compute.layout import BEAM_ONE, MOST_BEAMS, TILE
 from slamfusion.geometry import B8, F64, I32, I64, U32, corners, transform_points
 from slamfusion.slam.common.tile_map import SharedTileMaps
+
+Scalar = TypeVar("Scalar", bound=np.generic)
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,15 +76,10 @@ class BeamCounts:
         """Bytes of the counts."""
         return self._maps.memory_bytes
 
-    def cover(self, parts: Sequence[Beams]) -> None:
-        """Extend the window to some beams."""
-        low, high = corners(np.concatenate([p for own in parts for p in (own.ends, own.lasers)]))
-        self._maps.cover(low - 1.0, high + 1.0)
-
     def place(self, beams: Beams) -> I32:
         """Return the ends of beams, (B, 2), in 1/1024 cell of the lattice, with tiles for them."""
-        self.cover([beams])
-        maps = self._maps
+        maps, (low, high) = self._maps, corners(np.concatenate((beams.ends, beams.lasers)))
+        maps.cover(low - 1.0, high + 1.0)
         lasers, ends = beams.lasers - maps.origin, beams.ends - maps.origin
         maps.make_writable(_pages_crossed(lasers, ends, beams.scans, maps.pages.shape[1:])[None])
         return self.ends(beams)
@@ -105,10 +102,14 @@ class BeamCounts:
         is_hit = beams.is_hit.astype(np.uint8)
         self._device.count_walks(hits, visits, maps.page_tables, rows, is_hit, sign)
 
-    def cells(self) -> tuple[U32, U32, I64]:
-        """Return hits and visits, (H, W), and the lattice's column and row of the first cell."""
-        hits, corner = self._maps.cells("hits", 0)
-        return hits, self._maps.cells("visits", 0)[0], corner
+    def cells(
+        self, rule: Callable[[U32, U32], npt.NDArray[Scalar]], kind: type[Scalar]
+    ) -> tuple[npt.NDArray[Scalar], I64]:
+        """Return cells (H, W), and the lattice's column and row of the first one.
+
+        ``rule`` makes cells of the hits and visits of some tiles, (K, TILE, TILE) each.
+        """
+        return self._maps.made(rule, kind, ("hits", "visits"), 0)
 
 
 def _fixed(cells: F64) -> I32:

@@ -9,7 +9,7 @@ table and no cell.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -123,13 +123,22 @@ class _Tiles:
 
     def cells(self, name: str, *index: int) -> tuple[Array, I64]:
         """Return one map (H, W), cut to the pages in use, and its first (column, row), (2,)."""
+        return self.made(lambda values: values, self.pools[name].dtype, (name,), *index)
+
+    def made(
+        self, rule: Callable[..., Array], kind: npt.DTypeLike, names: Sequence[str], *index: int
+    ) -> tuple[Array, I64]:
+        """Return what a rule makes of the cells of some pools; see ``cells``.
+
+        It takes (K, TILE, TILE) of each pool, so the whole is only in memory as the result.
+        """
         (col0, row0), (col1, row1) = (corner // TILE for corner in self.used_box(*index))
         cut = self.pages[index][row0:row1, col0:col1]
         height, width = cut.shape
-        pool = self.pools[name]
-        values = np.empty((height, TILE, width, TILE), dtype=pool.dtype)
+        values = np.empty((height, TILE, width, TILE), dtype=kind)
         for row, numbers in zip(values, cut, strict=True):
-            row[:] = self._device.take_tiles(pool, numbers).transpose(1, 0, 2)
+            tiles = [self._device.take_tiles(self.pools[name], numbers) for name in names]
+            row[:] = rule(*tiles).transpose(1, 0, 2)
         first = (self.corner + np.array([col0, row0])) * TILE
         return values.reshape(height * TILE, width * TILE), first
 

@@ -72,9 +72,9 @@ class NodeMap:
                 beams = Beams.of([job.nodes[i] for i in some], poses[some] / parts, cell)
                 ends = self._counts.place(beams) if sign > 0 else self._counts.ends(beams)
                 self._counts.count(beams, ends, sign)
-        hits, visits, corner = self._counts.cells()
-        percent = percent_of_counts(
-            hits, visits, self._config.occupancy_threshold, self._config.min_pass_through
+        rule = self._config.occupancy_threshold, self._config.min_pass_through
+        percent, corner = self._counts.cells(
+            lambda hits, visits: percent_of_counts(hits, visits, *rule), np.int8
         )
         # Cropped in whole cells: the origin does not depend on the window.
         box = known_box(percent)
