@@ -11,6 +11,7 @@ import click
 
 from slamfusion.cli.help import Command, ProducerGroup
 from slamfusion.errors import SlamFusionError
+from slamfusion.io.files import use_one_arena
 
 # The nodes that are no producer's: the class of ``slamfusion.ros.NAME_node``, and a summary.
 NODES = {
@@ -70,6 +71,7 @@ def _make_command(name: str) -> click.Command:
     def run(ros_arguments: tuple[str, ...]) -> int:
         if ros_arguments and "--ros-args" not in ros_arguments:
             raise click.UsageError(f"{ros_arguments[0]!r}: a node's options stand after --ros-args")
+        use_one_arena()  # before there are threads
         import_rclpy()
         module = importlib.import_module(
             f"slamfusion.ros.{name if name in NODES else 'producer'}_node"

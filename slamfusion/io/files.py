@@ -22,6 +22,7 @@ from slamfusion.errors import MapFileError, MemoryBudgetError, SlamFusionError
 
 # Of the interpreter and its buffers.
 WORKING_BYTES = 64 * 2**20
+M_ARENA_MAX = -8  # of malloc.h
 
 
 def available_memory() -> int:
@@ -61,9 +62,23 @@ def check_memory(
 
 def return_freed_memory() -> None:
     """Return freed memory to the system, if the C library can (glibc keeps arrays of some MB)."""
-    trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
-    if trim is not None:
-        trim(0)
+    _of_glibc("malloc_trim", 0)
+
+
+def use_one_arena() -> None:
+    """Let all threads that are started from now on take memory from one heap, with glibc.
+
+    Otherwise each has its own, and what one has freed is of no use to the others.
+    """
+    if not os.environ.get("MALLOC_ARENA_MAX"):
+        _of_glibc("mallopt", M_ARENA_MAX, 1)
+
+
+def _of_glibc(name: str, *numbers: int) -> None:
+    """Call a function that other C libraries may lack."""
+    function = getattr(ctypes.CDLL(None), name, None)
+    if function is not None:
+        function(*numbers)
 
 
 def format_bytes(count: int) -> str:

@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import os
+import platform
+import subprocess
+import sys
+
 import psutil
 import pytest
 
@@ -24,3 +29,32 @@ def test_what_fits_passes_and_what_does_not_is_refused_with_numbers(
         "here.yaml: fusing 3 maps needs 5.0 GiB of memory, but only 3.0 GiB is available; "
         "free memory, crop it or use a coarser cell"
     )
+
+
+COUNT_HEAPS = """
+import ctypes, sys, threading
+from slamfusion.io.files import use_one_arena
+use_one_arena()
+together = threading.Barrier(4)
+def allocate():
+    together.wait()
+    bytes(100_000)
+    together.wait()
+threads = [threading.Thread(target=allocate) for _ in range(4)]
+[one.start() for one in threads], [one.join() for one in threads]
+ctypes.CDLL(None).malloc_info(0, ctypes.c_void_p.in_dll(ctypes.CDLL(None), "stdout"))
+ctypes.CDLL(None).fflush(None)
+"""
+
+
+def run(code: str) -> str:
+    """Return what a fresh interpreter prints, without a variable that helps."""
+    kept = {k: v for k, v in os.environ.items() if not k.startswith(("MALLOC_", "O"))}
+    return subprocess.run(
+        [sys.executable, "-c", code], env=kept, check=True, capture_output=True, text=True
+    ).stdout
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="arenas are of glibc")
+def test_threads_share_one_heap() -> None:
+    assert run(COUNT_HEAPS).count("<heap nr=") == 1
