@@ -87,9 +87,6 @@ def generate_launch_description() -> LaunchDescription:
                 "POCL_MAX_PTHREAD_COUNT",
                 EnvironmentVariable("POCL_MAX_PTHREAD_COUNT", default_value="1"),
             ),
-            SetEnvironmentVariable(
-                "OMP_NUM_THREADS", EnvironmentVariable("OMP_NUM_THREADS", default_value="1")
-            ),
             IncludeLaunchDescription(
                 _file("tinyslam.launch.py"), launch_arguments={**timed, **topics}.items()
             ),

@@ -98,7 +98,6 @@ done
 # The nodes share the cores.
 threads=$(($(nproc) / nodes))
 export POCL_MAX_PTHREAD_COUNT="${POCL_MAX_PTHREAD_COUNT:-$((threads > 1 ? threads : 1))}"
-export OMP_NUM_THREADS="${OMP_NUM_THREADS:-1}"
 
 # A fusion that is started again knows the page that was opened before.
 if [ -n "$page" ]; then

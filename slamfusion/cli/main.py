@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import gc
+import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -18,6 +19,9 @@ from slamfusion.cores import GC_OBJECTS
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line and exit with the documented code."""
     gc.set_threshold(GC_OBJECTS)
+    # For BLAS, before NumPy is imported, and for the processes that this one starts: its threads
+    # wait busily for work that comes in small pieces.
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
     words = list(sys.argv[1:] if arguments is None else arguments)
     try:
         from slamfusion.cli.program import run_program  # noqa: PLC0415 - loads slowly

@@ -199,8 +199,8 @@ def _begin(reports: Any) -> None:
 
 # --- processes that this one starts ---------------------------------------------------------------
 
-# What PoCL, OpenMP and OpenBLAS read before they start their threads; what the user set stays.
-THREAD_VARIABLES = ("POCL_MAX_PTHREAD_COUNT", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+# What PoCL and BLAS read before they start their threads; what the user set stays.
+THREAD_VARIABLES = ("POCL_MAX_PTHREAD_COUNT", "OMP_NUM_THREADS")
 
 
 @contextlib.contextmanager
@@ -233,11 +233,12 @@ def threads_limited(threads: int) -> Iterator[None]:
     """Let processes that are started in a ``with`` block share the cores.
 
     Args:
-        threads: what device and libraries of each of them may start; what the user has set in the
-            environment is left alone.
+        threads: what the device of each of them may start; BLAS starts none, see
+            ``slamfusion.cli.main``. What the user has set in the environment is left alone.
     """
-    added = [name for name in THREAD_VARIABLES if name not in os.environ]
-    os.environ.update(dict.fromkeys(added, str(threads)))
+    wanted = dict(zip(THREAD_VARIABLES, (str(threads), "1"), strict=True))
+    added = wanted.keys() - os.environ.keys()
+    os.environ.update({name: wanted[name] for name in added})
     try:
         yield
     finally:

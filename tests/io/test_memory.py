@@ -45,6 +45,16 @@ threads = [threading.Thread(target=allocate) for _ in range(4)]
 ctypes.CDLL(None).malloc_info(0, ctypes.c_void_p.in_dll(ctypes.CDLL(None), "stdout"))
 ctypes.CDLL(None).fflush(None)
 """
+COUNT_THREADS = """
+import contextlib, os
+from slamfusion.cli.main import main
+with contextlib.suppress(SystemExit), contextlib.redirect_stdout(None):
+    main(["--version"])
+import numpy, scipy.linalg
+ones = numpy.ones(20_000)
+ones @ ones, scipy.linalg.blas.ddot(ones, ones)
+print(len(os.listdir("/proc/self/task")))
+"""
 
 
 def run(code: str) -> str:
@@ -58,3 +68,8 @@ def run(code: str) -> str:
 @pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="arenas are of glibc")
 def test_threads_share_one_heap() -> None:
     assert run(COUNT_HEAPS).count("<heap nr=") == 1
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="threads are counted in /proc")
+def test_a_command_starts_no_threads_of_blas() -> None:
+    assert int(run(COUNT_THREADS)) == 1
