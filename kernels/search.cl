@@ -6,33 +6,22 @@
  */
 #include "common.h"
 
-/* scores[k, i, j] = sum over points n of fields[k, offset(k, n) + i * field_width + j].
- * Field values are 0..15, so SHIFT_POINTS = 16 of them add in one byte lane without a carry.
- * fields: uchar planes, field_stride bytes from one k to the next (0: one plane for all);
- * offsets (count or 1, points) int: row * field_width + col of each point, offset_stride ints apart;
- * spans (count, ceil(points / SHIFT_POINTS)) int4: first and last row, first and last column of the
- * shifts at which any of SHIFT_POINTS points reads something else than `base`; elsewhere none is read;
- * scores (count, shift_height, shift_width) int, shift_width a multiple of SHIFT_LANES.
- * Global: (shift_width / SHIFT_LANES, ceil(shift_height / SHIFT_ROWS), count). */
-__kernel void correlate(__global const uchar *fields, const int field_stride, const int field_width,
-                        __global const int *offsets, const int offset_stride, const int points,
-                        __global const int4 *spans, const int base, const int shift_height,
-                        const int shift_width, const int count, __global int *scores) {
-  const int j = get_global_id(0) * SHIFT_LANES, i = get_global_id(1) * SHIFT_ROWS;
-  const int k = get_global_id(2);
-  if (j >= shift_width || i >= shift_height || k >= count) return;
-  __global const uchar *field = fields + (size_t)k * field_stride + (size_t)i * field_width + j;
-  __global const int *offset = offsets + (size_t)k * offset_stride;
-  __global const int4 *span = spans + (size_t)k * ((points + SHIFT_POINTS - 1) / SHIFT_POINTS);
-  const int r1 = LOWER(1, shift_height - 1 - i) * field_width;
-  const int r2 = LOWER(2, shift_height - 1 - i) * field_width;
-  const int r3 = LOWER(3, shift_height - 1 - i) * field_width;
-  int16 total0 = 0, total1 = 0, total2 = 0, total3 = 0, total4 = 0, total5 = 0, total6 = 0, total7 = 0;
+/* Add to total what some points find at SHIFT_TILE rows of SHIFT_LANES shifts from (i, j) on, 16 shifts a
+ * vector. Field values are 0..15, so SHIFT_POINTS = 16 of them add in one byte lane without a carry.
+ * field at shift (i, j); offset (points) int: row * field_width + col of each point; span one int4 for
+ * each SHIFT_POINTS points: first and last row, first and last column of the shifts at which any of them
+ * reads something else than `base`; elsewhere none is read. */
+INLINE void add_points(__global const uchar *field, const int field_width,
+                       __global const int *offset, const int points, __global const int4 *span,
+                       const int base, const int i, const int j, const int height, int16 *total) {
+  const int r1 = LOWER(1, height - 1 - i) * field_width;
+  const int r2 = LOWER(2, height - 1 - i) * field_width;
+  const int r3 = LOWER(3, height - 1 - i) * field_width;
   int away = 0;
   for (int start = 0; start < points; start += SHIFT_POINTS, span++) {
     const int stop = LOWER(start + SHIFT_POINTS, points);
     const int4 live = *span;
-    if (i + SHIFT_ROWS <= live.x || i > live.y || j + SHIFT_LANES <= live.z || j > live.w) {
+    if (i + SHIFT_TILE <= live.x || i > live.y || j + SHIFT_LANES <= live.z || j > live.w) {
       away += stop - start;
       continue;
     }
@@ -44,65 +33,67 @@ __kernel void correlate(__global const uchar *fields, const int field_stride, co
       w2 += LOAD32(p + r2);
       w3 += LOAD32(p + r3);
     }
-    total0 += convert_int16(as_uchar16(w0.lo));
-    total1 += convert_int16(as_uchar16(w0.hi));
-    total2 += convert_int16(as_uchar16(w1.lo));
-    total3 += convert_int16(as_uchar16(w1.hi));
-    total4 += convert_int16(as_uchar16(w2.lo));
-    total5 += convert_int16(as_uchar16(w2.hi));
-    total6 += convert_int16(as_uchar16(w3.lo));
-    total7 += convert_int16(as_uchar16(w3.hi));
+    total[0] += convert_int16(as_uchar16(w0.lo));
+    total[1] += convert_int16(as_uchar16(w0.hi));
+    total[2] += convert_int16(as_uchar16(w1.lo));
+    total[3] += convert_int16(as_uchar16(w1.hi));
+    total[4] += convert_int16(as_uchar16(w2.lo));
+    total[5] += convert_int16(as_uchar16(w2.hi));
+    total[6] += convert_int16(as_uchar16(w3.lo));
+    total[7] += convert_int16(as_uchar16(w3.hi));
   }
-  away *= base;
-  total0 += away; total1 += away; total2 += away; total3 += away;
-  total4 += away; total5 += away; total6 += away; total7 += away;
-#define ROW(n, x, y) if (i + n < shift_height) { \
-  __global int *out = scores + ((size_t)k * shift_height + i + n) * shift_width + j; \
-  STORE32(as_ulong4(x.lo), out); STORE32(as_ulong4(x.hi), out + 8); \
-  STORE32(as_ulong4(y.lo), out + 16); STORE32(as_ulong4(y.hi), out + 24); }
-  ROW(0, total0, total1) ROW(1, total2, total3) ROW(2, total4, total5) ROW(3, total6, total7)
+  for (int k = 0; k < 2 * SHIFT_TILE; k++) total[k] += away * base;
 }
 
-/* Sum of a forward and a backward score surface, and the best of each tile of SHIFT_TILE x SHIFT_TILE
- * shifts, SHIFT_TILE being 4. forward (count, height, stride) int from 0 to 2^26; backward the same,
- * read at (height - 1 - i, width - 1 - j); only columns below width count. values, places (count,
- * tiles_y, tiles_x) int; a place is i * width + j; the first of equal scores wins: what is compared
- * is the score and, in four bits below it, how far the shift is from the tile's last.
- * A work item does two tiles. Global: (ceil(width / 8), tiles_y, count). */
-__kernel void tile_peaks(__global const int *forward, __global const int *backward,
-                         const int height, const int width, const int stride, const int count,
-                         const int tiles_y, const int tiles_x, __global int *values,
-                         __global int *places) {
-  const int j = get_global_id(0) * 2 * SHIFT_TILE, ty = get_global_id(1), k = get_global_id(2);
-  if (j >= width || ty >= tiles_y || k >= count) return;
-  __global const int *f = forward + (size_t)k * height * stride + j;
-  __global const int *b = backward + (size_t)k * height * stride + width - 1 - j;
-  const int8 column = (int8)(0, 1, 2, 3, 0, 1, 2, 3);
-  const int top = ty * SHIFT_TILE, cells = SHIFT_TILE * SHIFT_TILE;
-  const int rows = LOWER(SHIFT_TILE, height - top);
-  const int lanes = LOWER(2 * SHIFT_TILE, width - j);
-  int8 best = -1;
-  for (int r = 0; r < rows; r++) {
-    __global const int *own = f + (top + r) * stride, *other = b + (height - 1 - top - r) * stride;
-    int8 sum;
-    if (lanes == 2 * SHIFT_TILE) {
-      const int8 turned = as_int8(LOAD32(other - 2 * SHIFT_TILE + 1));
-      sum = as_int8(LOAD32(own)) + turned.s76543210;
-    } else {
-      int each[2 * SHIFT_TILE];
-      for (int c = 0; c < 2 * SHIFT_TILE; c++) each[c] = c < lanes ? own[c] + other[-c] : -1;
-      sum = vload8(0, each);
+/* The best of each tile of SHIFT_TILE x SHIFT_TILE whole-cell shifts, SHIFT_TILE being 4, by the sum
+ * over the points n of both sides of fields[k, offset(k, n) + i * field_width + j].
+ * Of each side: fields uchar planes, stride bytes from one k to the next (0: one plane for all);
+ * offsets int, offset_stride ints from one k to the next; spans (count, ceil(points / SHIFT_POINTS))
+ * int4; see add_points. Fields can be read at shifts up to a multiple of SHIFT_LANES along a row.
+ * values, places (count, tiles_y, tiles_x) int; a place is i * width + j; the first of equal sums
+ * wins: what is compared is the sum and, in four bits below it, how far the shift is from the tile's
+ * last. Global: (ceil(width / SHIFT_LANES), tiles_y, count). */
+__kernel void best_shifts(__global const uchar *ahead, const int ahead_stride, const int ahead_width,
+                          __global const int *ahead_offsets, const int ahead_offset_stride,
+                          const int ahead_points, __global const int4 *ahead_spans,
+                          const int ahead_base, __global const uchar *back, const int back_stride,
+                          const int back_width, __global const int *back_offsets,
+                          const int back_offset_stride, const int back_points,
+                          __global const int4 *back_spans, const int back_base, const int height,
+                          const int width, const int tiles_y, const int tiles_x, const int count,
+                          __global int *values, __global int *places) {
+  const int j = get_global_id(0) * SHIFT_LANES, ty = get_global_id(1), k = get_global_id(2);
+  const int i = ty * SHIFT_TILE, cells = SHIFT_TILE * SHIFT_TILE;
+  if (j >= width || i >= height || k >= count) return;
+  int16 total[2 * SHIFT_TILE];
+  for (int n = 0; n < 2 * SHIFT_TILE; n++) total[n] = 0;
+  add_points(ahead + (size_t)k * ahead_stride + (size_t)i * ahead_width + j, ahead_width,
+             ahead_offsets + (size_t)k * ahead_offset_stride, ahead_points,
+             ahead_spans + (size_t)k * ((ahead_points + SHIFT_POINTS - 1) / SHIFT_POINTS), ahead_base,
+             i, j, height, total);
+  add_points(back + (size_t)k * back_stride + (size_t)i * back_width + j, back_width,
+             back_offsets + (size_t)k * back_offset_stride, back_points,
+             back_spans + (size_t)k * ((back_points + SHIFT_POINTS - 1) / SHIFT_POINTS), back_base,
+             i, j, height, total);
+  const int16 column = (int16)(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15);
+  for (int side = 0; side < 2; side++) {
+    const int first = j + 16 * side;
+    const int16 place = cells - 1 - (column & (SHIFT_TILE - 1));
+    int16 best = -1;
+    for (int r = 0; r < SHIFT_TILE; r++) {
+      const int16 ranked = total[2 * r + side] * cells + place - r * SHIFT_TILE;
+      best = i + r < height ? HIGHER(best, ranked) : best;
     }
-    const int8 ranked = sum * cells + (cells - 1 - r * SHIFT_TILE) - column;
-    best = HIGHER(best, ranked);
-  }
-  const int4 first = HIGHER(best.even, best.odd);
-  const int ranks[2] = {HIGHER(first.x, first.y), HIGHER(first.z, first.w)};
-  for (int t = 0; t < 2 && t * SHIFT_TILE < lanes; t++) {
-    const int out = (k * tiles_y + ty) * tiles_x + j / SHIFT_TILE + t;
-    const int at = cells - 1 - ranks[t] % cells;
-    values[out] = ranks[t] / cells;
-    places[out] = (top + at / SHIFT_TILE) * width + j + t * SHIFT_TILE + at % SHIFT_TILE;
+    best = first + column < width ? best : (int16)-1;
+    const int8 pairs = HIGHER(best.even, best.odd);
+    const int4 four = HIGHER(pairs.even, pairs.odd);
+    const int ranks[4] = {four.x, four.y, four.z, four.w};
+    for (int t = 0; t < 4 && first + t * SHIFT_TILE < width; t++) {
+      const int out = (k * tiles_y + ty) * tiles_x + first / SHIFT_TILE + t;
+      const int at = cells - 1 - ranks[t] % cells;
+      values[out] = ranks[t] / cells;
+      places[out] = (i + at / SHIFT_TILE) * width + first + t * SHIFT_TILE + at % SHIFT_TILE;
+    }
   }
 }
 

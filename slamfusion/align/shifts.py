@@ -14,11 +14,12 @@ import numpy.typing as npt
 
 from slamfusion.align.features import DIRECTIONS, spread_sample
 from slamfusion.align.pair import Pair
-from slamfusion.compute.lattice import fixed_poses, grouped, shift_spans
+from slamfusion.compute.lattice import fixed_poses, from_the_end, grouped, shift_spans
 from slamfusion.compute.layout import SHIFT_LANES
+from slamfusion.compute.search import ShiftedSide
 from slamfusion.geometry import F64, I32
 
-# Sixteen values fit the packed adds of the correlate kernel.
+# Sixteen values fit the packed adds of ``best_shifts``.
 COARSE_TOP = 15
 # Width of a wall on coarse levels, cells.
 COARSE_SIGMA = 0.75
@@ -150,38 +151,42 @@ def score_shifts(
     # Moving walls on the reference's field.
     ahead_shape = (height + 2 * reach + 1, lanes + 2 * reach + 1)
     corner = fixed_poses((cols[0] - reach, rows[0] - reach, 0.0))
-    ahead = device.warp(on_ref, corner, ahead_shape, ours.base)
+    on_ref = device.warp(on_ref, corner, ahead_shape, ours.base)
     low, left = reach - rows[0], reach - cols[0]
     whole = np.array([(low, low + ref.shape[0], left, left + ref.shape[1])])
-    # Reference walls on the moving field, turned; read with shifts running backwards.
+    # Reference walls on the moving field, turned, and read from its end: all shifts run forwards.
     back_shape = (ref.shape[0] + height, ref.shape[1] + lanes)
     x0, y0 = 0.5 - cols[0] - width, 0.5 - rows[0] - height
+    last_x, last_y = ref.shape[1] + width - 2, ref.shape[0] + height - 2
     corners = np.array([(x, y) for y in (0, mov.shape[0]) for x in (0, mov.shape[1])]) - centre
-    back_offsets = (from_ref[:, 1] * back_shape[1] + from_ref[:, 0]).astype(np.int32)[None, :]
+    back_x, back_y = (np.array(ref.shape[::-1]) - 1 - from_ref).astype(np.int32).T[:, None]
+    back_offsets = back_y * back_shape[1] + back_x
     # Batches of yaws that fit into memory.
-    held = math.prod(back_shape) + 2 * np.dtype(np.int32).itemsize * height * lanes
     peaks = []
-    for some in np.array_split(yaws, min(len(yaws), -(-len(yaws) * held // BATCH_BYTES))):
+    for some in np.array_split(
+        yaws, min(len(yaws), -(-len(yaws) * math.prod(back_shape) // BATCH_BYTES))
+    ):
         cos, sin = np.cos(some)[:, None], np.sin(some)[:, None]
         x = np.floor(cos * own[:, 0] - sin * own[:, 1] + 0.5).astype(np.int32) + reach
         y = np.floor(sin * own[:, 0] + cos * own[:, 1] + 0.5).astype(np.int32) + reach
         spans, offsets = shift_spans(y, x, whole), y * ahead_shape[1] + x
-        forward = device.correlate(ahead, offsets, (height, lanes), spans, ours.base)
+        ahead = ShiftedSide(on_ref, offsets, spans, ours.base)
         poses = np.column_stack(
             (cos * x0 + sin * y0 + centre[0], -sin * x0 + cos * y0 + centre[1], -some)
         )
-        planes = device.warp(on_mov, fixed_poses(poses), back_shape, theirs.base)
+        turned = from_the_end(fixed_poses(poses), (last_x, last_y))
+        planes = device.warp(on_mov, turned, back_shape, theirs.base)
         # The rows and columns, from and to, of the field in the planes.
         sides = []
         for at in (
-            sin * corners[:, 0] + cos * corners[:, 1] - y0,
-            cos * corners[:, 0] - sin * corners[:, 1] - x0,
+            last_y + y0 + 1 - sin * corners[:, 0] - cos * corners[:, 1],
+            last_x + x0 + 1 - cos * corners[:, 0] + sin * corners[:, 1],
         ):
             sides += [np.floor(at.min(axis=1)) - 1, np.ceil(at.max(axis=1)) + 1]
         boxes = np.stack(sides, axis=1).astype(np.int32)
-        spans = shift_spans(from_ref[None, :, 1], from_ref[None, :, 0], boxes)
-        backward = device.correlate(planes, back_offsets, (height, lanes), spans, theirs.base)
-        found = device.tile_peaks(forward, backward, width)
+        spans = shift_spans(back_y, back_x, boxes)
+        back = ShiftedSide(planes, back_offsets, spans, theirs.base)
+        found = device.best_shifts(ahead, back, (height, width))
         peaks.append([part.reshape(len(some), -1) for part in found])
     values, places = (np.concatenate(parts) for parts in zip(*peaks, strict=True))
     floor = len(from_mov) * ours.base + len(from_ref) * theirs.base

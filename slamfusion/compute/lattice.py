@@ -33,6 +33,13 @@ def fixed_poses(poses: npt.ArrayLike) -> I64:
     return np.asarray(np.rint(np.stack(columns, axis=1) * FIXED_ONE), dtype=np.int64)
 
 
+def from_the_end(poses: I64, last: tuple[int, int]) -> I64:
+    """Return fixed poses of cells counted backwards from column and row ``last``; exact."""
+    cos, sin, x, y = poses.T
+    along, up = 2 * (last[0] + 1), 2 * (last[1] + 1)
+    return np.stack((-cos, -sin, x + cos * along - sin * up, y + sin * along + cos * up), axis=1)
+
+
 def fixed_cells(pose: I64, x2: I64, y2: I64) -> tuple[I64, I64]:
     """Return (row, col) of lattice positions (half cells) after one fixed pose; exact."""
     x = pose[0] * x2 - pose[1] * y2 + pose[2]
@@ -114,8 +121,8 @@ def shift_spans(rows: I32, cols: I32, boxes: I32) -> I32:
         boxes: (K or 1, 4) int32: the first row and the one behind the last, then columns.
 
     Returns:
-        (K, G, 4) int32 first and last row, first and last column of the shifts: what ``correlate``
-        takes.
+        (K, G, 4) int32 first and last row, first and last column of the shifts, see
+        ``search.ShiftedSide``.
     """
     starts = np.arange(0, rows.shape[1], SHIFT_POINTS)
     sides = []

@@ -71,12 +71,11 @@ WINDOW_LANES: Final = 32
 
 # -- search ----------------------------------------------------------------------------------------
 
-# Shifts along a row, and down the rows, that one work item of ``correlate`` does at once.
+# Shifts along a row that one work item of ``best_shifts`` does at once.
 SHIFT_LANES: Final = 32
-SHIFT_ROWS: Final = 4
-# Points that ``correlate`` adds in a byte: field values of at most 15.
+# Points that ``best_shifts`` adds in a byte: field values of at most 15.
 SHIFT_POINTS: Final = 16
-# Shifts a side of which ``tile_peaks`` keeps the best.
+# Shifts a side of which ``best_shifts`` keeps the best.
 SHIFT_TILE: Final = 4
 # A motion and the eight that are shifted by a step along x, y or both.
 NEIGHBOURS: Final = 9

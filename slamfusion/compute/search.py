@@ -23,7 +23,6 @@ from slamfusion.compute.layout import (
     REFINE_TERMS,
     SHIFT_LANES,
     SHIFT_POINTS,
-    SHIFT_ROWS,
     SHIFT_TILE,
     UNKNOWN,
 )
@@ -31,6 +30,24 @@ from slamfusion.geometry import F32, F64, I32, I64, U16
 
 if TYPE_CHECKING:
     from slamfusion.compute.opencl import OpenCLDevice
+
+
+class ShiftedSide(NamedTuple):
+    """Walls of one map on coarse fields of the other, at every whole-cell shift, for K yaws.
+
+    Attributes:
+        fields: (K or 1, FH, FW) uint8 on the device, values 0..15.
+        offsets: (K or 1, N) int32, ``row * FW + col`` of each point at the first shift.
+        spans: (K, G, 4) int32 for each ``SHIFT_POINTS`` points the first and last row and the first
+            and last column of the shifts at which any of them reads something else than ``base``;
+            see ``shift_spans``.
+        base: what is read elsewhere.
+    """
+
+    fields: DeviceArray[np.uint8]
+    offsets: I32
+    spans: I32
+    base: int
 
 
 class ScoredSide(NamedTuple):
@@ -84,6 +101,21 @@ CHUNK_POINTS, CHUNK_SCORED, CHUNK_ROWS = 64, 512, 16
 # Of a neighbour along each axis, and along x and y of the ``NEIGHBOURS``.
 STEPS = (0, -1, 1)
 NEIGHBOUR_STEPS = [(x, y) for x in STEPS for y in STEPS]
+
+
+def _shifted_sums(side: ShiftedSide, count: int, shape: tuple[int, int]) -> I32:
+    """Return (K, H, W) the sum over points of the field at point plus shift, for every shift."""
+    fields, (height, width) = host(side.fields), shape
+    sums = np.full((count, *shape), side.base * side.offsets.shape[1], dtype=np.int32)
+    for k in range(count):
+        field = fields[k if len(fields) > 1 else 0]
+        for n, offset in enumerate(side.offsets[k if len(side.offsets) > 1 else 0]):
+            row, col = divmod(int(offset), field.shape[1])
+            # The shifts, from and to, at which the point is read.
+            r0, r1, c0, c1 = np.maximum(side.spans[k, n // SHIFT_POINTS] + (0, 1, 0, 1), 0)
+            part = field[row : row + height, col : col + width][r0:r1, c0:c1]
+            sums[k, r0:r1, c0:c1] += part.astype(np.int32) - side.base
+    return sums
 
 
 def _narrow_scores(side: ScoredSide, motions: F64, drop: int) -> I32:
@@ -202,57 +234,51 @@ class SearchDevice(ArrayDevice):
             out[p] = np.sum((own - other) ** 2)
         return out
 
-    def correlate(
-        self,
-        fields: DeviceArray[np.uint8],
-        offsets: I32,
-        shift_shape: tuple[int, int],
-        spans: I32,
-        base: int,
-    ) -> DeviceArray[np.int32]:
-        """Return the sum over points of the field at point plus shift, for every whole-cell shift.
+    def best_shifts(
+        self, ahead: ShiftedSide, back: ShiftedSide, shape: tuple[int, int]
+    ) -> tuple[I32, I32]:
+        """Return the best of each tile of whole-cell shifts, by the sum of both sides' points.
 
         Args:
-            fields: (K or 1, FH, FW) uint8, values 0..15.
-            offsets: (K or 1, N) int32, ``row * FW + col`` of each point; every shift stays inside.
-            shift_shape: (SH, SW), SW a multiple of ``SHIFT_LANES``.
-            spans: (K, G, 4) int32 for each ``SHIFT_POINTS`` points the first and last row and the
-                first and last column of the shifts at which any of them reads something else than
-                ``base``; see ``shift_spans``.
-            base: what is read elsewhere.
+            ahead, back: moving walls on the reference, and walls of the reference on the moving
+                map, which moves the other way.
+            shape: (H, W) shifts; every shift up to a multiple of ``SHIFT_LANES`` along a row is on
+                the fields.
 
         Returns:
-            (K, SH, SW) int32.
+            values: (K, TY, TX) int32 by tiles of ``SHIFT_TILE`` a side, and places: same shape,
+            ``i * W + j``; first of equals wins.
         """
+        height, width = shape
+        count = max(len(ahead.spans), len(back.spans))
+        tiles_y, tiles_x = -(-height // SHIFT_TILE), -(-width // SHIFT_TILE)
         if self.opencl:
-            planes, field_height, field_width = fields.shape
-            count = max(planes, len(offsets))
-            height, width = shift_shape
-            points = offsets.shape[1]
-            field_stride = field_height * field_width if planes > 1 else 0
-            offset_stride = points if len(offsets) > 1 else 0
-            return self.opencl.launch_new(
-                (count, height, width), np.int32, "correlate",
-                (width // SHIFT_LANES, -(-height // SHIFT_ROWS), count), fields, field_stride,
-                field_width, self.upload(offsets), offset_stride, points, self.upload(spans), base,
-                height, width, count,
+            given = []
+            for fields, offsets, spans, base in (ahead, back):
+                planes, field_height, field_width = fields.shape
+                points = offsets.shape[1]
+                given += [
+                    fields, field_height * field_width if planes > 1 else 0, field_width,
+                    self.upload(offsets), points if len(offsets) > 1 else 0, points,
+                    self.upload(spans), base,
+                ]  # fmt: skip
+            best = self.opencl.empty((count, tiles_y, tiles_x), np.int32)
+            where = self.opencl.empty((count, tiles_y, tiles_x), np.int32)
+            self.opencl.launch(
+                "best_shifts", (-(-width // SHIFT_LANES), tiles_y, count), *given, height, width,
+                tiles_y, tiles_x, count, best, where,
             )  # fmt: skip
-        fields = host(fields)
-        count = max(len(fields), len(offsets))
-        height, width = shift_shape
-        scores = np.zeros((count, height, width), dtype=np.int32)
-        field_width = fields.shape[2]
-        for k in range(count):
-            field = fields[k if len(fields) > 1 else 0]
-            own = offsets[k if len(offsets) > 1 else 0]
-            scores[k] = base * len(own)
-            for n, offset in enumerate(own):
-                row, col = divmod(int(offset), field_width)
-                # The shifts, from and to, at which the point is read.
-                r0, r1, c0, c1 = np.maximum(spans[k, n // SHIFT_POINTS] + (0, 1, 0, 1), 0)
-                part = field[row : row + height, col : col + width][r0:r1, c0:c1]
-                scores[k, r0:r1, c0:c1] += part.astype(np.int32) - base
-        return scores
+            return self.download(best), self.download(where)
+        total = _shifted_sums(ahead, count, shape) + _shifted_sums(back, count, shape)
+        tile = SHIFT_TILE
+        margins = ((0, 0), (0, tiles_y * tile - height), (0, tiles_x * tile - width))
+        tiles = np.pad(total, margins, constant_values=-1)
+        tiles = tiles.reshape(count, tiles_y, tile, tiles_x, tile).swapaxes(2, 3)
+        tiles = tiles.reshape(count, tiles_y, tiles_x, tile * tile)
+        first = tiles.argmax(axis=3)
+        row = np.arange(tiles_y)[:, None] * tile + first // tile
+        places = row * width + np.arange(tiles_x) * tile + first % tile
+        return tiles.max(axis=3), places.astype(np.int32)
 
     def bound_blocks(
         self,
@@ -284,41 +310,6 @@ class SearchDevice(ArrayDevice):
             row, col = starts[group, 0] + row0, starts[group, 1] + col0
             out[b] = cells_at(field, row, col, 0).sum(dtype=np.int32)
         return np.where(out > least, out, np.int32(-1))
-
-    def tile_peaks(
-        self, forward: DeviceArray[np.int32], backward: DeviceArray[np.int32], width: int
-    ) -> tuple[I32, I32]:
-        """Return the best of each tile of shifts of ``forward`` plus reversed ``backward``.
-
-        Args:
-            forward: (K, SH, SW) int32 from 0 to 2^26; only the first ``width`` columns count.
-            backward: same shape, read at (SH - 1 - i, width - 1 - j).
-
-        Returns:
-            values: (K, TY, TX) int32 by tiles of ``SHIFT_TILE`` a side, and places: same shape,
-            ``i * width + j``; first of equals wins.
-        """
-        if self.opencl:
-            count, height, stride = forward.shape
-            tiles_y, tiles_x = -(-height // SHIFT_TILE), -(-width // SHIFT_TILE)
-            best = self.opencl.empty((count, tiles_y, tiles_x), np.int32)
-            where = self.opencl.empty((count, tiles_y, tiles_x), np.int32)
-            sizes = (height, width, stride, count, tiles_y, tiles_x)
-            size = (-(-width // (2 * SHIFT_TILE)), tiles_y, count)
-            self.opencl.launch("tile_peaks", size, forward, backward, *sizes, best, where)
-            return self.download(best), self.download(where)
-        forward, backward = host(forward), host(backward)
-        total = forward[:, :, :width] + backward[:, ::-1, width - 1 :: -1]
-        count, height, _ = total.shape
-        tile = SHIFT_TILE
-        rows, cols = -(-height // tile), -(-width // tile)
-        margins = ((0, 0), (0, rows * tile - height), (0, cols * tile - width))
-        tiles = np.pad(total, margins, constant_values=-1).reshape(count, rows, tile, cols, tile)
-        tiles = tiles.swapaxes(2, 3).reshape(count, rows, cols, tile * tile)
-        best = tiles.argmax(axis=3)
-        row = np.arange(rows)[:, None] * tile + best // tile
-        places = row * width + np.arange(cols) * tile + best % tile
-        return tiles.max(axis=3), places.astype(np.int32)
 
     def pose_counts(
         self, *sides: CountedSide, hit: U16, miss: U16, base: int, limits2: Sequence[int] = ()

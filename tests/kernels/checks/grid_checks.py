@@ -23,7 +23,7 @@ from slamfusion.compute.layout import (
     WALL_OCCUPIED,
     WALL_SIDES,
 )
-from slamfusion.compute.search import CountedSide, FitSide, ScoredSide
+from slamfusion.compute.search import CountedSide, FitSide, ScoredSide, ShiftedSide
 from slamfusion.compute.votes import Votes
 from slamfusion.compute.wall_pieces import PieceSide, PointPieces
 from slamfusion.geometry import F64
@@ -105,23 +105,31 @@ def _squared_error(device: ComputeDevice, sample: Sample) -> Arrays:
     return [device.squared_error(a, b, poses, stride) for stride in (1, 3)]
 
 
-def _correlate(device: ComputeDevice, sample: Sample) -> Arrays:
-    height, width = 9, 64
-    planes = sample.rng.integers(0, 16, (3, sample.shape[0] + height, sample.shape[1] + width))
+def _best_shifts(device: ComputeDevice, sample: Sample) -> Arrays:
+    # Neither whole tiles nor whole lanes.
+    height, width, lanes, count = 9, 45, 64, 37
+    planes = sample.rng.integers(0, 16, (3, sample.shape[0] + height, sample.shape[1] + lanes))
     fields = planes.astype(np.uint8)
-    rows, cols = sample.rng.integers(0, sample.shape, (3, 37, 2)).transpose(2, 0, 1)
+    rows, cols = sample.rng.integers(0, sample.shape, (3, count, 2)).transpose(2, 0, 1)
     offsets = (rows * fields.shape[2] + cols).astype(np.int32)
-    shifts = (height, width)
-    pairs = ((fields, offsets), (fields[:1], offsets), (fields, offsets[:1]))
-    all_shifts = np.full((3, -(-37 // SHIFT_POINTS), 4), (0, height - 1, 0, width - 1), np.int32)
-    everywhere = [device.correlate(device.upload(f), o, shifts, all_shifts, 0) for f, o in pairs]
+    all_shifts = np.full((3, -(-count // SHIFT_POINTS), 4), (0, height, 0, lanes), np.int32)
     # A field that says something in a small box only: most shifts of most points need no look.
     box = (height, height + 5, width // 2, width)
     island = np.full_like(fields[:1], FLAT_FILL)
     island[:, box[0] : box[1], box[2] : box[3]] = fields[0, box[0] : box[1], box[2] : box[3]]
     spans = shift_spans(rows.astype(np.int32), cols.astype(np.int32), np.array([box]))
-    some = device.correlate(device.upload(island), offsets, shifts, spans, FLAT_FILL)
-    return fetch(device, [*everywhere, some])
+    every, first, single, some = (
+        ShiftedSide(device.upload(given), at, where, base)
+        for given, at, where, base in (
+            (fields, offsets, all_shifts, 0),
+            (fields[:1], offsets, all_shifts, 0),
+            (fields, offsets[:1], all_shifts, 0),
+            (island, offsets, spans, FLAT_FILL),
+        )
+    )
+    shape = height, width
+    sides = ((every, first), (single, some), (some, every))
+    return [part for ahead, back in sides for part in device.best_shifts(ahead, back, shape)]
 
 
 def _bound_blocks(device: ComputeDevice, sample: Sample) -> Arrays:
@@ -134,13 +142,6 @@ def _bound_blocks(device: ComputeDevice, sample: Sample) -> Arrays:
     places = device.upload(starts)
     bounds = device.bound_blocks(blocks, places, field)
     return [bounds, device.bound_blocks(blocks, places, field, int(np.median(bounds)))]
-
-
-def _tile_peaks(device: ComputeDevice, sample: Sample) -> Arrays:
-    shape = (2, 2, sample.shape[0], sample.shape[1] + 3)
-    both = sample.rng.integers(0, 9, shape).astype(np.int32)
-    forward, backward = device.upload(both[0]), device.upload(both[1])
-    return list(device.tile_peaks(forward, backward, sample.shape[1]))
 
 
 def _pose_counts(device: ComputeDevice, sample: Sample) -> Arrays:
@@ -289,9 +290,8 @@ GRID_CHECKS: dict[str, Check] = {
     "warp": _warp,
     "confusion": _confusion,
     "squared_error": _squared_error,
-    "correlate": _correlate,
+    "best_shifts": _best_shifts,
     "bound_blocks": _bound_blocks,
-    "tile_peaks": _tile_peaks,
     "pose_counts": _pose_counts,
     "pose_scores": _pose_scores,
     "neighbour_scores": _neighbour_scores,
