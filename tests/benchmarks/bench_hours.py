@@ -3,10 +3,10 @@
     python -m tests.benchmarks.bench_hours LOG --hours 10
 
 Each SLAM is a process with the session of its node, which reads map and path every ``TOLD_S`` of
-the log; the fusion is this process. Shown for each hour of the log and each of the four: its
-processor time a scan, its memory at the end of the hour, and the largest time of one scan; for a
-SLAM also how far its poses are from those of its first way through the same scans (root mean
-square), and how many scans and poses it keeps.
+the log; the fusion is this process. All of them use memory as nodes do: one heap, from which what
+is free is returned now and then. Shown for each hour of the log and each of the four: its processor
+time a scan, its memory at the end of the hour, and the largest time of one scan; for a SLAM also
+how far its poses are from those of its first way through the same scans (root mean square).
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ from slamfusion.config import RunConfig
 from slamfusion.geometry import Pose2, row_of
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import LogScan, open_log
+from slamfusion.io.files import return_freed_memory, use_one_arena
 from slamfusion.slam.registry import BUILT_IN
 from slamfusion.slam.session import ProducerSession, QueuedScan
 from slamfusion.trajectory import Trajectory
@@ -35,6 +36,8 @@ from slamfusion.trajectory import Trajectory
 HOUR_S = 3600.0
 # Path and map come this often, seconds of the log.
 TOLD_S = 2.0
+# Freed memory is returned this often (``ros.base.TRIM_S``), seconds of the log.
+TRIM_S = 10.0
 # The path of a node has at most this many poses (``messages.PATH_POSES``).
 PATH_POSES = 2000
 COLUMNS = ("hour", "node", "CPU ms a scan", "MB", "slowest scan ms", "apart m")
@@ -76,16 +79,31 @@ def chunks(log: Path, seconds: float) -> Iterator[list[tuple[int, LogScan]]]:
             chunk = []
 
 
-def resident_mb(process: int | str = "self") -> float:
-    """Return the resident memory of a process."""
-    pages = Path(f"/proc/{process}/statm").read_text().split()[1]
+def resident_mb() -> float:
+    """Return the resident memory of this process."""
+    pages = Path("/proc/self/statm").read_text().split()[1]
     return int(pages) * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
+class Trim:
+    """Returns freed memory now and then."""
+
+    def __init__(self) -> None:
+        self._due_s = -np.inf
+
+    def look(self, now_s: float) -> None:
+        """Return it if it is time, seconds of the log."""
+        if now_s >= self._due_s:
+            return_freed_memory()
+            self._due_s = now_s + TRIM_S
 
 
 def produce(kind: str, log: Path, seconds: float, answers: Connection) -> None:
     """Feed a SLAM as its node does, and send what it answers."""
+    use_one_arena()
     device = open_device()
     session = ProducerSession(kind, RunConfig(), device, open_device, wants_odometry=True)
+    trim = Trim()
     for chunk in chunks(log, seconds):
         poses, slowest_s, before_s = [], 0.0, time.process_time()
         for _, item in chunk:
@@ -100,6 +118,7 @@ def produce(kind: str, log: Path, seconds: float, answers: Connection) -> None:
         grid, path = session.draw(made), made.trajectory
         kept = np.unique(np.linspace(0, len(path) - 1, PATH_POSES).round().astype(int))
         path = Trajectory(path.stamps_s[kept], path.poses[kept], kind)
+        trim.look(chunk[-1][1].scan.stamp_s)
         spent_s = time.process_time() - before_s
         answers.send(Chunk(poses, path, grid.with_name(kind), spent_s, slowest_s, resident_mb()))
 
@@ -173,7 +192,7 @@ class Fusion:
         from tests.benchmarks.live_drives import Robot, Told  # noqa: PLC0415
 
         self._robot, self._told = Robot(names, open_device()), Told
-        self._number = 0
+        self._number, self._trim = 0, Trim()
 
     def hear(
         self, chunk: Sequence[tuple[int, LogScan]], told: dict[str, Chunk], hours: Hours
@@ -192,6 +211,7 @@ class Fusion:
                 hours.take("fusion", index, located.pose)
             robot.online.clear()
         robot.is_undecided.clear()
+        self._trim.look(chunk[-1][1].scan.stamp_s)
         hours.took("fusion", len(chunk), time.process_time() - before_s, slowest_s, resident_mb())
 
 
@@ -236,6 +256,7 @@ def main() -> None:
 
     add_record_option(parser)
     options = parser.parse_args()
+    use_one_arena()
     console_for("hours", options.record, width=120).print(drive(options.log, options))
 
 
