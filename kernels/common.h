@@ -37,6 +37,7 @@ INLINE void store32(const ulong4 words, __global ulong *to) {
   to[3] = words.w;
 }
 #define STORE32(words, p) store32(words, (__global ulong *)(p))
+#define LOWEST_BIT(bits) __builtin_ctzl(bits)
 #define LOWER(a, b) ((a) < (b) ? (a) : (b))
 #define HIGHER(a, b) ((a) > (b) ? (a) : (b))
 #else
@@ -51,6 +52,7 @@ INLINE void store32(const ulong4 words, __global uchar *to) {
   vstore16(as_uchar16(words.hi), 1, to);
 }
 #define STORE32(words, p) store32(words, (__global uchar *)(p))
+#define LOWEST_BIT(bits) ((int)popcount(((bits) & -(bits)) - 1))
 #define LOWER(a, b) min(a, b)
 #define HIGHER(a, b) max(a, b)
 #endif

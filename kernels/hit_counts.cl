@@ -19,15 +19,11 @@
 #include "walk.h"
 
 #define HIT (1u << HITS_SHIFT)
-/* A tile's side with all that is near it; cells ahead of a row and behind it that have room for what
- * is near; and cells of a row whose field is renewed at once. */
-#define SPAN (TILE + 2 * MOST_REACH)
-#define EDGE 8
-#define WALL_COLUMNS (EDGE + TILE + EDGE)
+/* Cells of a row that a wall reaches, and some more, at once; and columns with room for them around a
+ * tile's own and its edge. */
 #define BLOCK 8
-/* Away along x from a cell that is no wall, in 1/256 cell; and the squared distance, from which on
- * there is no wall within reach. */
-#define NO_WALL (1 << 14)
+#define COLUMNS (2 * MOST_REACH + PAIRS + BLOCK)
+/* A squared distance, in (1/256 cell)^2, from which on there is no wall within reach. */
 #define FARTHEST (1 << 27)
 /* Bits of a count that is full. A scan has fewer beams than FULL_HITS, so that no half of a word of
  * `counts` or `sums` flows over. */
@@ -236,24 +232,16 @@ INLINE ulong widened(ulong bits, const int reach) {
 
 /* Where the hits of a cell are on average along one axis, in 1/256 cell from the cell's middle. The
  * quotient is exact: with half a unit more it is farther from a whole number than float32 errs. */
-INLINE short mean_offset(const uint sum, const float per_hit) {
-  return (short)((int)(((float)(sum * OFFSET_ONE) + 0.5f) * per_hit) + OFFSET_HALF - CELL_HALF);
-}
-
-/* Find the mean hit of a cell; x is NO_WALL where it is not occupied. */
-INLINE void find_wall(
-    const uint seen, const uint sum, const uint occupied, const uint least_hits, short *x, short *y) {
-  const uint hits = seen >> HITS_SHIFT;
-  const float per_hit = 1.0f / (float)(hits > 1 ? hits : 1);
-  *x = is_wall(seen, occupied, least_hits) ? mean_offset(sum >> SUM_SHIFT, per_hit) : NO_WALL;
-  *y = mean_offset(sum & SUM_MASK, per_hit);
+INLINE int mean_offset(const uint sum, const float per_hit) {
+  return (int)(((float)(sum * OFFSET_ONE) + 0.5f) * per_hit) + OFFSET_HALF - CELL_HALF;
 }
 
 /* Renew the field around the changed cells, a page an item.
  *
  * places      int per page: of those to look at, the place in `pages`
  * pages       int, width x height per map
- * field       uchar pool: the best that the table gives an occupied cell within `reach` cells
+ * field       uchar, two for each of PAIRS pairs in a tile's row: of a cell and of the one above it, the
+ *             best that the table gives an occupied cell within `reach` cells
  * changed     uint, a word per row of a tile, as count_beams left it
  * table       uchar, TABLE_LAST + 1, never rising: of the squared distance, in 1/256 cell, from the
  *             cell's centre to the mean hit of the occupied cell, shifted right by `shift`; the last for
@@ -278,22 +266,21 @@ __kernel void settle_field(
     tiles[k / 3][k % 3] = inside ? pages[places[item] - page + row * width + col] : 0;
   }
 
-  /* Cells to renew: those with a changed one within reach. */
-  uint mine[TILE];
-  uint any = 0;
-  for (int row = 0; row < TILE; row++) {
+  /* Cells to renew: those with a changed one within reach, of the tile and of its edge. */
+  ulong mine[TILE + 1];
+  ulong any = 0;
+  for (int row = 0; row <= TILE; row++) {
     mine[row] = 0;
   }
-  for (int k = -reach; k < TILE + reach; k++) {
+  for (int k = -reach; k <= TILE + reach; k++) {
     const int *across = tiles[(k >> TILE_SHIFT) + 1];
     const int row = k & TILE_MASK;
     const ulong west = changed[across[0] * TILE + row], east = changed[across[2] * TILE + row];
     const ulong bits = west << reach >> TILE | (ulong)changed[across[1] * TILE + row] << reach |
                        east << (TILE + reach);
     if (bits != 0) {
-      const uint wide = (uint)(widened(bits, reach) >> reach);
-      const int first = k - reach < 0 ? 0 : k - reach, last = k + reach;
-      for (int n = first; n <= last && n < TILE; n++) {
+      const ulong wide = widened(bits, reach) >> reach & ((1ul << PAIRS) - 1);
+      for (int n = HIGHER(k - reach, 0); n <= LOWER(k + reach, TILE); n++) {
         mine[n] |= wide;
       }
       any |= wide;
@@ -303,72 +290,89 @@ __kernel void settle_field(
     return;
   }
 
-  /* Mean hits of the rows around; a CPU does whole rows in vectors, faster than the cells it needs. */
-  short wall_x[SPAN][WALL_COLUMNS], wall_y[SPAN][WALL_COLUMNS];
-  for (int k = 0; k < TILE + 2 * reach; k++) {
-    const int first = k - 2 * reach;
-    uint near = 0;
-    for (int row = first < 0 ? 0 : first; row <= k && row < TILE; row++) {
-      near |= mine[row];
+  /* Cells with hits near these, column -reach in the lowest bit. */
+  ulong walls[TILE + 2 * MOST_REACH + 1];
+  for (int k = -reach; k <= TILE + reach; k++) {
+    ulong near = 0;
+    for (int n = HIGHER(k - reach, 0); n <= LOWER(k + reach, TILE); n++) {
+      near |= mine[n];
     }
+    walls[k + reach] = 0;
     if (near == 0) {
       continue;
     }
-    const int *across = tiles[((k - reach) >> TILE_SHIFT) + 1];
-    const int row = ((k - reach) & TILE_MASK) << TILE_SHIFT, own = across[1] * TILE_CELLS + row;
-    const int west = across[0] * TILE_CELLS + row + TILE, east = across[2] * TILE_CELLS + row;
-    short *x = wall_x[k] + EDGE, *y = wall_y[k] + EDGE;
+    near = widened(near << reach, reach);
+    const int *across = tiles[(k >> TILE_SHIFT) + 1];
+    const int line = (k & TILE_MASK) << TILE_SHIFT;
+    __global const uint *own = counts + across[1] * TILE_CELLS + line;
+    uint is_hit = 0;
     for (int n = 0; n < TILE; n++) {
-      find_wall(counts[own + n], sums[own + n], occupied, least_hits, x + n, y + n);
+      is_hit |= (uint)(own[n] >= HIT) << n;
     }
-    for (int n = 1; n <= reach; n++) {
-      x[-n] = x[TILE + n - 1] = NO_WALL;
-      y[-n] = y[TILE + n - 1] = 0;
-    }
-    if (near & ((1u << reach) - 1u)) {
-      for (int n = 1; n <= reach; n++) {
-        if (counts[west - n] >= HIT) {
-          find_wall(counts[west - n], sums[west - n], occupied, least_hits, x - n, y - n);
-        }
+    ulong hit = (ulong)is_hit << reach;
+    if (near & ((1ul << reach) - 1)) {
+      __global const uint *west = counts + across[0] * TILE_CELLS + line + TILE - reach;
+      for (int n = 0; n < reach; n++) {
+        hit |= (ulong)(west[n] >= HIT) << n;
       }
     }
-    if (near >> (TILE - reach)) {
-      for (int n = 0; n < reach; n++) {
-        if (counts[east + n] >= HIT) {
-          find_wall(counts[east + n], sums[east + n], occupied, least_hits, x + TILE + n, y + TILE + n);
+    if (near >> (TILE + reach)) {
+      __global const uint *east = counts + across[2] * TILE_CELLS + line;
+      for (int n = 0; n <= reach; n++) {
+        hit |= (ulong)(east[n] >= HIT) << (n + TILE + reach);
+      }
+    }
+    walls[k + reach] = hit & near;
+    FETCH(sums + across[1] * TILE_CELLS + line);
+    FETCH(sums + across[1] * TILE_CELLS + line + TILE / 2);
+  }
+
+  /* The least squared distance from each cell to a mean hit. */
+  int least[TILE + 1][COLUMNS];
+  for (int row = 0; row <= TILE; row++) {
+    for (int n = 0; n < COLUMNS; n++) {
+      least[row][n] = FARTHEST;
+    }
+  }
+  for (int k = -reach; k <= TILE + reach; k++) {
+    const int *across = tiles[(k >> TILE_SHIFT) + 1];
+    const int line = (k & TILE_MASK) << TILE_SHIFT;
+    for (ulong left = walls[k + reach]; left != 0; left &= left - 1) {
+      const int col = LOWEST_BIT(left) - reach;
+      const int at = across[(col >> TILE_SHIFT) + 1] * TILE_CELLS + line + (col & TILE_MASK);
+      if (!is_wall(counts[at], occupied, least_hits)) {
+        continue;
+      }
+      const float per_hit = 1.0f / (float)(counts[at] >> HITS_SHIFT);
+      const int x = mean_offset(sums[at] >> SUM_SHIFT, per_hit);
+      const int y = mean_offset(sums[at] & SUM_MASK, per_hit);
+      int across2[BLOCK];
+      for (int n = 0; n < BLOCK; n++) {
+        const int dx = (reach - n) * CELL_ONE + x;
+        across2[n] = n <= 2 * reach ? dx * dx : FARTHEST;
+      }
+      for (int n = HIGHER(k - reach, 0); n <= LOWER(k + reach, TILE); n++) {
+        const int dy = (k - n) * CELL_ONE + y;
+        int *best = least[n] + col + reach;
+        for (int m = 0; m < BLOCK; m++) {
+          const int distance2 = across2[m] + dy * dy;
+          best[m] = distance2 < best[m] ? distance2 : best[m];
         }
       }
     }
   }
 
-  for (int row = 0; row < TILE; row++) {
-    __global uchar *own = field + tiles[1][1] * TILE_CELLS + (row << TILE_SHIFT);
-    for (int first = 0; first < TILE; first += BLOCK) {
-      const uint wanted = mine[row] >> first & ((1u << BLOCK) - 1u);
-      if (wanted == 0) {
-        continue;
+  __global uchar *pair = field + (size_t)tiles[1][1] * (TILE * PAIRS * 2);
+  for (int row = 0; row <= TILE; row++, pair += 2 * PAIRS) {
+    for (ulong left = mine[row]; left != 0; left &= left - 1) {
+      const int col = LOWEST_BIT(left), distance2 = least[row][col + 2 * reach];
+      const int step = distance2 >> shift;
+      const uchar value = distance2 >= FARTHEST ? 0 : table[step < TABLE_LAST ? step : TABLE_LAST];
+      if (row < TILE) {
+        pair[2 * col] = value;
       }
-      int least[BLOCK];
-      for (int n = 0; n < BLOCK; n++) {
-        least[n] = INT_MAX;
-      }
-      for (int y = -reach; y <= reach; y++) {
-        for (int x = -reach; x <= reach; x++) {
-          const short *from_x = wall_x[row + reach + y] + EDGE + first + x;
-          const short *from_y = wall_y[row + reach + y] + EDGE + first + x;
-          for (int n = 0; n < BLOCK; n++) {
-            const int dx = x * CELL_ONE + from_x[n], dy = y * CELL_ONE + from_y[n];
-            const int distance2 = dx * dx + dy * dy;
-            least[n] = distance2 < least[n] ? distance2 : least[n];
-          }
-        }
-      }
-      for (int n = 0; n < BLOCK; n++) {
-        if (wanted >> n & 1u) {
-          const int step = least[n] >> shift;
-          own[first + n] =
-              least[n] >= FARTHEST ? 0 : table[step < TABLE_LAST ? step : TABLE_LAST];
-        }
+      if (row > 0) {
+        pair[2 * (col - PAIRS) + 1] = value;
       }
     }
   }

@@ -17,28 +17,39 @@
 /* The last item of a work-group of climb_maps that tries a step. */
 #define CORNERS 14
 
-/* Value between the centres of four cells at (x, y), bilinear in sixteenths; (col, row) is a's. */
-INLINE int blended(
-    const int a, const int b, const int c, const int d, const float x, const float y,
-    const int col, const int row) {
-  const int right = (int)((x - col) * (float)SIXTEENTHS);
-  const int up = (int)((y - row) * (float)SIXTEENTHS);
-  const int low = a * (SIXTEENTHS - right) + b * right, high = c * (SIXTEENTHS - right) + d * right;
-  return (low * (SIXTEENTHS - up) + high * up) >> SIXTEENTHS_SHIFT;
+/* Four bytes from any place, the first the lowest: one word is one gather. Of TWO_BYTES the higher ones are
+ * anything. */
+#ifdef UNALIGNED_WORDS
+#define FOUR_BYTES(cells, at) (*(__global const uint *)((cells) + (at)))
+#define TWO_BYTES FOUR_BYTES
+#else
+#define TWO_BYTES(cells, at) ((uint)(cells)[at] | (uint)(cells)[(at) + 1] << 8)
+#define FOUR_BYTES(cells, at) (TWO_BYTES(cells, at) | TWO_BYTES(cells, (at) + 2) << 16)
+#endif
+
+/* Value between the centres of four cells, bilinear in sixteenths. In a word of their bytes the second is
+ * a step along one axis from the first, the third and the fourth are a step along the other one from
+ * these; both shares are in sixteenths. */
+INLINE int blended(const uint cells, const int along, const int across) {
+  const uint firsts = cells & EVEN_BYTES, seconds = cells >> 8 & EVEN_BYTES;
+  const uint both = firsts * (SIXTEENTHS - along) + seconds * along;
+  return ((ushort)both * (SIXTEENTHS - across) + (both >> 16) * across) >> SIXTEENTHS_SHIFT;
 }
 
-/* Field of a tiled map under a hit (px, py), between cell centres. */
+/* Field of a tiled map of pairs under a hit (px, py), between cell centres; a hit beyond it reads its
+ * border, which is empty. */
 INLINE int smooth_value(
     __global const uchar *field, __global const int *pages, const int width, const int height,
     const float px, const float py, const float4 pose) {
   const float x = pose.x + (pose.z * px - pose.w * py) - 0.5f;
   const float y = pose.y + (pose.w * px + pose.z * py) - 0.5f;
   const int col = (int)x, row = (int)y;
-  const int a = field[tile_cell(pages, width, height, col, row)];
-  const int b = field[tile_cell(pages, width, height, col + 1, row)];
-  const int c = field[tile_cell(pages, width, height, col, row + 1)];
-  const int d = field[tile_cell(pages, width, height, col + 1, row + 1)];
-  return blended(a, b, c, d, x, y, col, row);
+  const int own_col = LOWER(HIGHER(col, 0), (width << TILE_SHIFT) - 1);
+  const int own_row = LOWER(HIGHER(row, 0), (height << TILE_SHIFT) - 1);
+  const int tile = pages[(own_row >> TILE_SHIFT) * width + (own_col >> TILE_SHIFT)];
+  const int line = tile * TILE + (own_row & TILE_MASK);
+  const uint pairs = FOUR_BYTES(field, 2 * (line * PAIRS + (own_col & TILE_MASK)));
+  return blended(pairs, (int)((y - row) * (float)SIXTEENTHS), (int)((x - col) * (float)SIXTEENTHS));
 }
 
 /* Sum of a tiled map's field under the hits at one pose. */
@@ -47,8 +58,10 @@ INLINE int smooth_sum(
     __global const float *points, const int count, const float4 pose) {
   int sum = 0;
   IN_LANES
-  for (int i = 0; i < count; i++) {
-    sum += smooth_value(field, pages, width, height, points[2 * i], points[2 * i + 1], pose);
+  for (int i = 0; i < WHOLE_LANES(count); i++) {
+    const int value =
+        smooth_value(field, pages, width, height, points[2 * i], points[2 * i + 1], pose);
+    sum += i < count ? value : 0;
   }
   return sum;
 }
@@ -57,44 +70,40 @@ INLINE int smooth_sum(
 
 /* Copy a rectangle of a tiled map's field; a work item does a row.
  *
- * field    uchar, TILE_CELLS per tile
+ * field    uchar, `across` cells per row of a tile, `step` bytes per cell, the first of them the value
  * pages    int, pages_wide per row
  * first    x and y of the window's first cell, in cells of the pages
  * cells    uchar, width x height
  * Global: (height).
  */
 __kernel void copy_window(
-    __global const uchar *field, __global const int *pages, const int pages_wide,
-    const int first_x, const int first_y, const int width, const int height,
-    __global uchar *cells) {
+    __global const uchar *field, const int across, const int step, __global const int *pages,
+    const int pages_wide, const int first_x, const int first_y, const int width,
+    const int height, __global uchar *restrict cells) {
   const int row = get_global_id(0), y = first_y + row;
   if (row >= height) {
     return;
   }
   __global const int *own = pages + (y >> TILE_SHIFT) * pages_wide;
-  __global uchar *line = cells + row * width;
+  __global uchar *restrict line = cells + row * width;
   for (int i = 0; i < width;) {
     const int x = first_x + i, inside = x & TILE_MASK, run = LOWER(TILE - inside, width - i);
-    __global const uchar *from =
-        field + own[x >> TILE_SHIFT] * TILE_CELLS + ((y & TILE_MASK) << TILE_SHIFT) + inside;
-    if (run == TILE) {
+    const int tile_row = own[x >> TILE_SHIFT] * TILE + (y & TILE_MASK);
+    __global const uchar *from = field + (tile_row * across + inside) * step;
+    if (run == TILE && step == 1) {
       STORE32(LOAD32(from), line + i);
+    } else if (run == TILE && step == 2) {
+      for (int k = 0; k < TILE; k++) {
+        line[i + k] = from[2 * k];
+      }
     } else {
       for (int k = 0; k < run; k++) {
-        line[i + k] = from[k];
+        line[i + k] = from[k * step];
       }
     }
     i += run;
   }
 }
-
-/* Two neighbouring cells of a row, the first in the lowest byte; the higher bytes are anything. One word
- * is one gather; the window's last row, which only such words reach, is not looked at. */
-#ifdef UNALIGNED_WORDS
-#define TWO_CELLS(cells, at) (*(__global const uint *)((cells) + (at)))
-#else
-#define TWO_CELLS(cells, at) ((uint)(cells)[at] | (uint)(cells)[(at) + 1] << 8)
-#endif
 
 /* Field of a window under a hit; a hit beyond it reads its border. */
 INLINE int window_value(
@@ -106,9 +115,10 @@ INLINE int window_value(
   const int own_col = LOWER(HIGHER(col - window.x, 0), window.z - 2);
   const int own_row = LOWER(HIGHER(row - window.y, 0), window.w - 3);
   const int at = own_row * window.z + own_col;
-  const uint low = TWO_CELLS(cells, at), high = TWO_CELLS(cells, at + window.z);
-  return blended(
-      (uchar)low, (uchar)(low >> 8), (uchar)high, (uchar)(high >> 8), x, y, col, row);
+  /* The window's last row is not looked at: only the higher bytes of its words reach it. */
+  const uint low = TWO_BYTES(cells, at), high = TWO_BYTES(cells, at + window.z);
+  const int right = (int)((x - col) * (float)SIXTEENTHS);
+  return blended((ushort)low | high << 16, right, (int)((y - row) * (float)SIXTEENTHS));
 }
 
 INLINE int window_sum(
@@ -145,7 +155,8 @@ __kernel void score_smooth(
   IN_LANES
   for (int i = 0; i < WHOLE_LANES(count); i++) {
     const int value = window_value(cells, window, points[2 * i], points[2 * i + 1], pose);
-    sum += i < count ? table[value] : 0;
+    const int counted = table[value];
+    sum += i < count ? counted : 0;
   }
   sums[item] = sum;
 }
@@ -363,9 +374,11 @@ __kernel void score_maps(
   const float4 pose = poses[item];
   int sum = 0;
   IN_LANES
-  for (int i = 0; i < count; i++) {
-    sum += table[smooth_value(
-        field, own, width, height, points[2 * i], points[2 * i + 1], pose)];
+  for (int i = 0; i < WHOLE_LANES(count); i++) {
+    const int value =
+        smooth_value(field, own, width, height, points[2 * i], points[2 * i + 1], pose);
+    const int counted = table[value];
+    sum += i < count ? counted : 0;
   }
   sums[item] = sum;
 }

@@ -10,6 +10,11 @@ cell, in x in the upper and in y in the lower 16 bits; an offset stands for the 
 sixteenth. An unseen cell is 0 in all pools. A half of a sum has room for the hits of a cell that is
 nearly full and of one scan more; see ``FULL_HITS`` and ``MOST_BEAMS`` in ``layout``.
 
+The ``field`` (T, TILE, PAIRS) uint16 has the value of a cell in the lower and that of the cell
+above it in the upper 8 bits. The last pair of a row is the first of the next tile's, and the upper
+half of the last row is the first row of the tile above: the four values around a place are two
+neighbouring pairs of one tile.
+
 ``kernels/hit_counts.cl`` computes the same on an OpenCL device, bit for bit.
 """
 
@@ -279,7 +284,7 @@ class HitCountDevice(ArrayDevice):
         self,
         counts: DeviceArray[np.uint32],
         sums: DeviceArray[np.uint32],
-        field: DeviceArray[np.uint8],
+        field: DeviceArray[np.uint16],
         pages: DeviceArray[np.int32],
         touched: U8,
         scan: BeamScan,
@@ -296,10 +301,10 @@ class HitCountDevice(ArrayDevice):
             counts: (T, TILE, TILE) uint32, no cell visited ``FULL_VISITS`` or hit ``FULL_HITS``
                 times yet.
             sums: (T, TILE, TILE) uint32, each half 15 or less a hit.
-            field: (T, TILE, TILE) uint8.
+            field: (T, TILE, PAIRS) uint16.
             pages: (N, PH, PW) int32; cells of pages without a tile are left out.
             touched: (N, PH, PW) uint8, on the host: what ``touch_pages`` returns for this scan and
-                ``rule.reach``.
+                a cell more than ``rule.reach``.
             scan: see ``BeamScan``; ``MOST_BEAMS`` or fewer.
 
         Returns:
@@ -331,12 +336,15 @@ class HitCountDevice(ArrayDevice):
         around = [changed + (0, dy, dx) for dx, dy in _square(rule.reach)]  # noqa: RUF005 - a sum
         maps, row, col = np.unique(np.concatenate(around), axis=0).T
 
-        targets = tile_places(pages, maps, row, col)
         best = np.zeros(len(maps), dtype=np.int64)
         for dx, dy in _square(rule.reach):
             places = tile_places(pages, maps, row + dy, col + dx)
             field_there = _field_of(counts[places], sums[places], (dx, dy), rule)
             np.maximum(best, field_there, out=best)
-        has_tile = targets[0] != 0
-        field[tuple(part[has_tile] for part in targets)] = best[has_tile].astype(np.uint8)
+        values = field.view(np.uint8).reshape(*field.shape, 2)
+        for down, left in ((0, 0), (1, 0), (0, 1), (1, 1)):
+            tile, in_row, in_col = tile_places(pages, maps, row - down, col - left)
+            is_there = (tile != 0) & ((left == 0) | (in_col == TILE - 1))
+            place = tile[is_there], in_row[is_there], in_col[is_there] + left
+            values[(*place, down)] = best[is_there]
         return is_full

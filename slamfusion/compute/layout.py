@@ -24,6 +24,7 @@ likelihood word       value (8 bits) above 1 bit that says that there is one, ui
 cell mean             mean (20 bits) above observations (12 bits), uint32
 hit count             hits (16 bits) above visits (16 bits), hits included, uint32
 hit sum               sum of the hits' offsets in the cell in x (16 bits) above that in y, uint32
+pair of a field       value of the cell above (8 bits) above the cell's own (8 bits), uint16
 chunk mark            one bit for each of up to 32 chunks of a drive, uint32
 ====================  ==========================================================================
 """
@@ -122,6 +123,8 @@ TILE_SHIFT: Final = 5
 TILE: Final = 1 << TILE_SHIFT
 TILE_MASK: Final = TILE - 1
 TILE_CELLS: Final = TILE * TILE
+# Pairs in a row of a field's tile: one for each cell, and the first of the tile behind it.
+PAIRS: Final = TILE + 1
 # Tiles are copied, and fetched, in words of this many bytes.
 COPIED_BYTES: Final = 32
 TAKEN_BYTES: Final = 8
@@ -146,6 +149,8 @@ HIT_LANES: Final = 16
 # Between cell centres a field is interpolated in sixteenths; a value then has their square's bits.
 SIXTEENTHS: Final = 16
 SIXTEENTHS_SHIFT: Final = 8
+# The first and the third byte of a word.
+EVEN_BYTES: Final = 0x00FF00FF
 HYPOTHESIS_FLOATS: Final = 7
 START_FLOATS: Final = 5
 SIZE_FLOATS: Final = 4

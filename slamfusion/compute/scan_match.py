@@ -21,8 +21,8 @@ from slamfusion.compute.layout import (
     TABLE_LAST,
     TILE,
 )
-from slamfusion.compute.tiles import move_points
-from slamfusion.geometry import F32, F64, I32, I64, U8
+from slamfusion.compute.tiles import move_points, tile_places
+from slamfusion.geometry import F32, F64, I32, I64, U16
 
 # A table of smooth values that changes none.
 SAME: I32 = np.arange(TABLE_LAST + 1, dtype=np.int32)
@@ -50,26 +50,40 @@ def _arguments(window: FieldWindow) -> tuple[Any, ...]:
     return window.cells, *window.first, width, height
 
 
-def _whole(field: U8, pages: I32) -> FieldWindow:
-    """Return all of a map, (PH, PW) pages, as a window."""
-    height, width = pages.shape
-    cells = field[pages].transpose(0, 2, 1, 3).reshape(height * TILE, width * TILE)
-    return FieldWindow(np.pad(cells, ((0, 1), (0, 0))), (0, 0))
+def _blend(a: I64, b: I64, c: I64, d: I64, right: I64, up: I64) -> I64:
+    """Return the value between cells a, b and c, d above them, by shares in sixteenths."""
+    low, high = a * (SIXTEENTHS - right) + b * right, c * (SIXTEENTHS - right) + d * right
+    blended: I64 = np.asarray(low * (SIXTEENTHS - up) + high * up, dtype=np.int64)
+    return np.asarray(blended >> SIXTEENTHS_SHIFT)
 
 
-def _smooth(window: FieldWindow, east: F32, north: F32) -> I64:
-    """Return the field at positions in cells, between cell centres bilinear in sixteenths."""
+def _split(east: F32, north: F32) -> tuple[I64, I64, I64, I64]:
+    """Return row and column of the lower left of four cells around positions, and the shares."""
     east, north = east - np.float32(0.5), north - np.float32(0.5)
     col, row = east.astype(np.int64), north.astype(np.int64)
     right = ((east - col.astype(np.float32)) * np.float32(SIXTEENTHS)).astype(np.int64)
     up = ((north - row.astype(np.float32)) * np.float32(SIXTEENTHS)).astype(np.int64)
+    return row, col, right, up
+
+
+def _smooth_pairs(field: U16, pages: I32, points: F32, poses: F32) -> I64:
+    """Return a map of pairs, (PH, PW) pages, under points (P, 2) at poses (N, 4), as _smooth."""
+    row, col, right, up = _split(*move_points(points, poses))
+    height, width = pages.shape
+    row, col = np.clip(row, 0, height * TILE - 1), np.clip(col, 0, width * TILE - 1)
+    tile, in_row, in_col = tile_places(pages[None], 0, row, col)
+    first, second = (field[tile, in_row, in_col + i].astype(np.int64) for i in (0, 1))
+    return _blend(first & 255, second & 255, first >> 8, second >> 8, right, up)
+
+
+def _smooth(window: FieldWindow, east: F32, north: F32) -> I64:
+    """Return the field at positions in cells, between cell centres bilinear in sixteenths."""
+    row, col, right, up = _split(east, north)
     cells, first = host(window.cells), window.first
     height, width = cells.shape
     col, row = np.clip(col - first[0], 0, width - 2), np.clip(row - first[1], 0, height - 3)
     a, b, c, d = (cells[row + i, col + j].astype(np.int64) for i in (0, 1) for j in (0, 1))
-    low, high = a * (SIXTEENTHS - right) + b * right, c * (SIXTEENTHS - right) + d * right
-    blended: I64 = np.asarray(low * (SIXTEENTHS - up) + high * up, dtype=np.int64)
-    return np.asarray(blended >> SIXTEENTHS_SHIFT)
+    return _blend(a, b, c, d, right, up)
 
 
 def _wide(window: FieldWindow, east: F32, north: F32, reach: int) -> I64:
@@ -115,30 +129,35 @@ def upload_hits(points: F32, device: ArrayDevice) -> DeviceArray[np.float32]:
 class ScanMatchDevice(ArrayDevice):
     """A device that matches scans.
 
-    On the device stay the ``field``, (T, TILE, TILE) uint8 wall values of all maps; the ``pages``
-    of one map (PH, PW) or of N maps (N, PH, PW), int32, whose border is empty; and the ``points``
-    of a scan, see ``upload_hits``. All else comes from the host.
+    On the device stay the ``field``, wall values of all maps: (T, TILE, TILE) uint8, or pairs
+    (T, TILE, PAIRS) uint16, see ``hit_counts``; the ``pages`` of one map (PH, PW) or of N maps
+    (N, PH, PW), int32, whose border is empty; and the ``points`` of a scan, see ``upload_hits``.
+    All else comes from the host.
     """
 
     def field_window(
         self,
-        field: DeviceArray[np.uint8],
+        field: DeviceArray[Any],
         pages: DeviceArray[np.int32],
         low: Sequence[float] | F64 | I64,
         high: Sequence[float] | F64 | I64,
     ) -> FieldWindow:
-        """Return the part of a map between two corners, x and y each in cells of its pages."""
+        """Return the part of a map between two corners, x and y each in cells of its pages.
+
+        Its field is of either kind.
+        """
         height, width = pages.shape
         x, cols = _span(low[0], high[0], width * TILE)
         y, rows = _span(low[1], high[1], height * TILE)
         if self.opencl:
             cells = self.opencl.launch_new(
-                (rows, cols), np.uint8, "copy_window", (rows,), field, pages, width, x, y, cols,
-                rows,
+                (rows, cols), np.uint8, "copy_window", (rows,), field, field.shape[2],
+                field.dtype.itemsize, pages, width, x, y, cols, rows,
             )  # fmt: skip
             return FieldWindow(cells, (x, y))
-        whole = host(_whole(host(field), host(pages)).cells)
-        return FieldWindow(whole[y : y + rows, x : x + cols], (x, y))
+        tiles = host(field)[host(pages)][..., :TILE].astype(np.uint8)
+        whole = tiles.transpose(0, 2, 1, 3).reshape(height * TILE, width * TILE)
+        return FieldWindow(np.asarray(whole[y : y + rows, x : x + cols]), (x, y))
 
     def score_poses(
         self,
@@ -229,7 +248,7 @@ class ScanMatchDevice(ArrayDevice):
 
     def climb_maps(
         self,
-        field: DeviceArray[np.uint8],
+        field: DeviceArray[np.uint16],
         pages: DeviceArray[np.int32],
         points: DeviceArray[np.float32],
         hypotheses: F32,
@@ -267,7 +286,7 @@ class ScanMatchDevice(ArrayDevice):
         for own, hypothesis, start, place in zip(
             host(pages), hypotheses, starts, found, strict=True
         ):
-            window, best, at = _whole(host(field), own), start.copy(), 0
+            best, at = start.copy(), 0
             for _ in range(tries):
                 cells, radians, cos, sin = sizes[at]
                 turn = ways[:, 2]
@@ -276,9 +295,9 @@ class ScanMatchDevice(ArrayDevice):
                 turned = best[3] * dcos - best[4] * dsin, best[4] * dcos + best[3] * dsin
                 moved = best[:2] + ways[:, :2] * cells, best[2] + turn * radians
                 tried = np.column_stack((*moved, *turned))
-                sums = self.score_poses(window, points, tried[:, [0, 1, 3, 4]])
+                found_values = _smooth_pairs(host(field), own, host(points), tried[:, [0, 1, 3, 4]])
                 losses = _losses(tried, hypothesis)
-                values = sums.astype(np.float32) * np.float32(scale) - losses
+                values = found_values.sum(axis=1).astype(np.float32) * np.float32(scale) - losses
                 winner = int(values.argmax())
                 best, place[5] = tried[winner], values[winner]
                 at += winner == 0
@@ -289,7 +308,7 @@ class ScanMatchDevice(ArrayDevice):
 
     def score_maps(
         self,
-        field: DeviceArray[np.uint8],
+        field: DeviceArray[np.uint16],
         pages: DeviceArray[np.int32],
         points: DeviceArray[np.float32],
         poses: F32,
@@ -315,5 +334,5 @@ class ScanMatchDevice(ArrayDevice):
             return whole.astype(np.int64)
         sums = np.empty(poses.shape[:2], dtype=np.int64)
         for own, at, out in zip(host(pages), poses, sums, strict=True):
-            out[:] = self.score_poses(_whole(host(field), own), points, at, table=table)
+            out[:] = table[_smooth_pairs(host(field), own, host(points), at)].sum(axis=1)
         return sums

@@ -9,6 +9,7 @@ of the window, (0, 0) its lower-left corner.
 
 from __future__ import annotations
 
+import math
 from typing import Any, TypeVar
 
 import numpy as np
@@ -20,7 +21,6 @@ from slamfusion.compute.layout import (
     COPIED_BYTES,
     TAKEN_BYTES,
     TILE,
-    TILE_CELLS,
     WALK_SHIFT,
     WALK_TO_BEAM_SHIFT,
 )
@@ -68,6 +68,11 @@ def tile_places(pages: I32, maps: I64 | int, row: I64, col: I64) -> tuple[I64, I
     return tiles.astype(np.int64), row % TILE, col % TILE
 
 
+def tile_bytes(pool: DeviceArray[Any]) -> int:
+    """Return the bytes of a tile of a pool (T, ...)."""
+    return math.prod(pool.shape[1:]) * pool.dtype.itemsize
+
+
 class TileDevice(ArrayDevice):
     """A device that keeps pools of tiles."""
 
@@ -91,25 +96,25 @@ class TileDevice(ArrayDevice):
         """Copy tiles, in place.
 
         Args:
-            pools: (T, TILE, TILE) each, of any dtype.
+            pools: (T, ...) each, of any dtype, the bytes of a tile a multiple of COPIED_BYTES.
             pairs: (M, 2) int32, source and target; source 0 clears the target. Targets differ from
                 each other and are no sources.
         """
         if self.opencl:
             table, count = self.upload(pairs), len(pairs)
             for pool in pools:
-                words = TILE_CELLS * pool.dtype.itemsize // COPIED_BYTES
+                words = tile_bytes(pool) // COPIED_BYTES
                 self.opencl.launch("copy_tiles", (words, count), pool, words, table, count)
             return
         for pool in map(host, pools):
             pool[pairs[:, 1]] = pool[pairs[:, 0]]
 
     def take_tiles(self, pool: DeviceArray[Scalar], numbers: I32) -> npt.NDArray[Scalar]:
-        """Fetch tiles (K, TILE, TILE) of a pool by their numbers (K,) int32 to the host."""
+        """Fetch tiles (K, ...) of a pool (T, ...) by their numbers (K,) int32 to the host."""
         if self.opencl:
-            count, words = len(numbers), TILE_CELLS * pool.dtype.itemsize // TAKEN_BYTES
+            count, words = len(numbers), tile_bytes(pool) // TAKEN_BYTES
             return self.opencl.launch_into(
-                np.empty((count, TILE, TILE), dtype=pool.dtype), "take_tiles", (words, count), pool,
-                words, self.upload(numbers), count,
+                np.empty((count, *pool.shape[1:]), dtype=pool.dtype), "take_tiles", (words, count),
+                pool, words, self.upload(numbers), count,
             )  # fmt: skip
         return np.asarray(host(pool)[numbers])

@@ -13,14 +13,14 @@ from hypothesis import strategies as st
 
 from slamfusion.compute import ComputeDevice, NumpyDevice
 from slamfusion.compute.hit_counts import BeamScan, FieldRule
-from slamfusion.compute.layout import MOST_BEAMS, MOST_REACH, TILE
+from slamfusion.compute.layout import MOST_BEAMS, MOST_REACH, PAIRS, TILE
 from slamfusion.geometry import I32
 from tests.support.examples import examples
 from tests.support.score_fields import score_field_of
 
 Pools = list[Any]
 SEEDS = st.integers(0, 2**32 - 1)
-KINDS = (np.uint32, np.uint32, np.uint8)
+KINDS = ((np.uint32, TILE), (np.uint32, TILE), (np.uint16, PAIRS))
 FALLING = np.arange(255, -1, -1).astype(np.uint8)
 
 
@@ -43,7 +43,7 @@ def scan_of(
 
 def pools_of(device: ComputeDevice, tiles: int) -> Pools:
     """Counts, sums and field of unseen tiles."""
-    return [device.upload(np.zeros((tiles, TILE, TILE), dtype=kind)) for kind in KINDS]
+    return [device.upload(np.zeros((tiles, TILE, cols), dtype=kind)) for kind, cols in KINDS]
 
 
 def own_pages(maps: int, height: int, width: int) -> I32:
@@ -52,9 +52,11 @@ def own_pages(maps: int, height: int, width: int) -> I32:
 
 
 def joined(pool: npt.NDArray[Any], pages: I32) -> npt.NDArray[Any]:
-    """The cells of one map."""
+    """The cells of one map; of pairs the cells' own values."""
     height, width = pages.shape
-    return pool[pages].transpose(0, 2, 1, 3).reshape(height * TILE, width * TILE)
+    cells = pool[pages][..., :TILE]
+    cells = cells & 255 if pool.dtype == np.uint16 else cells
+    return cells.transpose(0, 2, 1, 3).reshape(height * TILE, width * TILE)
 
 
 def count_into(
@@ -82,7 +84,7 @@ class CopiedTiles:
     def write(self, scan: BeamScan, rule: FieldRule) -> None:
         """Give every touched page a fresh tile, count, and settle."""
         device = self.device
-        touched = device.touch_pages(device.upload(self.pages), scan, rule.reach)
+        touched = device.touch_pages(device.upload(self.pages), scan, rule.reach + 1)
         targets = self.used + np.arange(touched.sum())
         pairs = np.column_stack((self.pages[touched != 0], targets)).astype(np.int32)
         device.copy_tiles(tuple(self.pools), pairs)
@@ -128,7 +130,7 @@ def test_nothing_flows_over_where_all_beams_of_two_scans_end(device: ComputeDevi
     scan = scan_of(*[(0.49, 0.49)] * MOST_BEAMS, poses=[(20.5, 20.5, 0.0)])
     pools = pools_of(device, 2)
     rule = FieldRule(FALLING, shift=8, reach=1, occupied=16384, least_hits=1)
-    touched = device.touch_pages(table, scan, rule.reach)
+    touched = device.touch_pages(table, scan, rule.reach + 1)
     hits = 0
     for is_full in (False, True):
         found = device.count_and_settle(pools[0], pools[1], pools[2], table, touched, scan, rule)
@@ -138,7 +140,7 @@ def test_nothing_flows_over_where_all_beams_of_two_scans_end(device: ComputeDevi
         assert counts[1, 20, 20] == counts.sum() == hits << 16 | hits
         assert sums[1, 20, 20] == sums.sum() == 15 * hits << 16 | 15 * hits
     # And its mean is still the middle of the last sixteenth of the cell: 8 + 240 of 256.
-    assert device.download(pools[2])[1, 20, 20] == 255 - 2 * 120 * 120 // 256
+    assert device.download(pools[2])[1, 20, 20] & 255 == 255 - 2 * 120 * 120 // 256
 
 
 @given(seed=SEEDS, reach=st.integers(0, 16))
@@ -213,3 +215,11 @@ def test_field_is_that_of_the_counts_everywhere(
     for pages in tiles.pages:
         counts, sums, field = (joined(pool, pages) for pool in pools)
         np.testing.assert_array_equal(field, score_field_of(counts, sums, rule))
+        # A tile repeats the cells above it and behind it.
+        more = np.pad(field, ((0, 1), (0, 1))).astype(np.uint16)
+        whole = more[:-1] | more[1:] << 8
+        for row, col in np.argwhere(pages):
+            top, left = row * TILE, col * TILE
+            np.testing.assert_array_equal(
+                pools[2][pages[row, col]], whole[top : top + TILE, left : left + PAIRS]
+            )

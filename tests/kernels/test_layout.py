@@ -23,8 +23,7 @@ OWN = {
     "REFINE_LANES",  # points of a fit that are done at once
     "MODEL_BASE",  # a flag of two values, False in Python
     "CORNERS",  # work items of a climb that try a step
-    "BLOCK",  # cells of a row whose field is renewed together
-    "EDGE",  # cells ahead of a row and behind it
+    "BLOCK",  # cells of a row that a wall reaches, at once
 }
 # The classes that have the operations, without the devices and what all devices have.
 FAMILIES = ComputeDevice.__bases__

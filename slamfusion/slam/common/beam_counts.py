@@ -69,7 +69,8 @@ class BeamCounts:
 
     def __init__(self, device: ComputeDevice) -> None:
         self._device = device
-        self._maps = SharedTileMaps(device, 1, {"hits": np.uint32, "visits": np.uint32})
+        words = np.zeros((TILE, TILE), dtype=np.uint32)
+        self._maps = SharedTileMaps(device, 1, {"hits": words, "visits": words})
 
     @property
     def memory_bytes(self) -> int:

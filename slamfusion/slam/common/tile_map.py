@@ -19,6 +19,7 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.compute.arrays import DeviceArray
 from slamfusion.compute.cell_means import LikelihoodRule, ScanRule
 from slamfusion.compute.layout import TILE
+from slamfusion.compute.tiles import tile_bytes
 from slamfusion.errors import MemoryBudgetError
 from slamfusion.geometry import B8, F64, I8, I32, I64, Pose2, corners
 from slamfusion.grid import OccupancyGrid
@@ -53,22 +54,19 @@ class _Tiles:
     """Pools of tiles on the device behind one window of pages.
 
     Attributes:
-        pools: by name, (T, TILE, TILE) handles: the tiles in use, first the empty one.
+        pools: by name, (T, ...) handles: the tiles in use, first the empty one.
         pages: (..., PH, PW) int32, tile of each page of the window, 0 where there is none.
         corner: (2,) int64, column and row of the window's lower-left page, counted from the anchor.
         page_tables: ``pages`` on the device.
     """
 
     def __init__(
-        self,
-        device: ComputeDevice,
-        pools: Mapping[str, tuple[npt.DTypeLike, int]],
-        maps: tuple[int, ...] = (),
+        self, device: ComputeDevice, empty: Mapping[str, Array], maps: tuple[int, ...] = ()
     ) -> None:
+        """Make a pool for each empty tile."""
         self._device = device
         self.pools: dict[str, DeviceArray[Any]] = {
-            name: device.upload(np.full((1, TILE, TILE), fill, dtype=kind))
-            for name, (kind, fill) in pools.items()
+            name: device.upload(tile[None]) for name, tile in empty.items()
         }
         size = 2 * MARGIN + 1
         self.corner = np.array([-(size // 2), -(size // 2)], dtype=np.int64)
@@ -161,7 +159,10 @@ class _Tiles:
         wanted: dict[str, tuple[npt.DTypeLike, str]] = {
             "pages": (np.int32, "N H W" if self.pages.ndim > 2 else "H W"),
             "corner": (np.int64, "2"),
-            **{f"pool_{name}": (pool.dtype, f"T {TILE} {TILE}") for name, pool in kept.items()},
+            **{
+                f"pool_{name}": (pool.dtype, "T " + " ".join(map(str, pool.shape[1:])))
+                for name, pool in kept.items()
+            },
         }
         lengths = check_arrays(arrays, wanted)
         if arrays["pages"].size > MOST_PAGES * max(len(arrays["pages"]), 1):
@@ -185,7 +186,10 @@ class TileMap(_Tiles):
         """Make pools with their empty tile, given the dtype and the fill value by name."""
         self._fills = {name: fill for name, (_, fill) in pools.items()}
         self._wanted: Any = None
-        super().__init__(device, pools)
+        super().__init__(
+            device,
+            {name: np.full((TILE, TILE), fill, kind) for name, (kind, fill) in pools.items()},
+        )
 
     def write(self, beams: I32, rule: ScanRule | LikelihoodRule) -> None:
         """Write a scan's beams (B, K), as the rule says, all in the window."""
@@ -217,21 +221,18 @@ class TileMap(_Tiles):
 
 
 class SharedTileMaps(_Tiles):
-    """N maps that share equal tiles; pages are (N, PH, PW), unseen cells 0."""
+    """N maps that share equal tiles; pages are (N, PH, PW)."""
 
-    def __init__(
-        self, device: ComputeDevice, count: int, pools: Mapping[str, npt.DTypeLike]
-    ) -> None:
+    def __init__(self, device: ComputeDevice, count: int, empty: Mapping[str, Array]) -> None:
         # Number of maps that use each tile; the empty tile counts as unused and is never free.
         self._users = np.zeros(1, dtype=np.int32)
         self._one: tuple[int, DeviceArray[Any]] | None = None
-        super().__init__(device, {name: (kind, 0) for name, kind in pools.items()}, (count,))
+        super().__init__(device, empty, (count,))
 
     @property
     def used_bytes(self) -> int:
         """Bytes of the tiles that some map uses."""
-        cell_bytes = sum(pool.dtype.itemsize for pool in self.pools.values())
-        return int((self._users > 0).sum()) * TILE * TILE * cell_bytes
+        return int((self._users > 0).sum()) * sum(map(tile_bytes, self.pools.values()))
 
     @property
     def owned_and_shared(self) -> tuple[int, int]:

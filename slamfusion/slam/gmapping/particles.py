@@ -7,10 +7,11 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.compute.hit_counts import BeamScan, FieldRule, halve_counts, percent_of_counts
-from slamfusion.compute.layout import MOST_BEAMS
+from slamfusion.compute.layout import MOST_BEAMS, PAIRS, TILE
 from slamfusion.geometry import (
     F64,
     I32,
@@ -173,8 +174,9 @@ class ParticleMaps(Stateful):
 
     def __init__(self, config: Any, device: ComputeDevice, count: int) -> None:
         self.anchor = np.zeros(2)
-        pools = {"counts": np.uint32, "sums": np.uint32, "field": np.uint8}
-        self.tiles = SharedTileMaps(device, count, pools)
+        words, pairs = np.zeros((TILE, TILE), np.uint32), np.zeros((TILE, PAIRS), np.uint16)
+        empty: dict[str, NDArray[Any]] = {"counts": words, "sums": words, "field": pairs}
+        self.tiles = SharedTileMaps(device, count, empty)
         self._config = config
         self._device = device
         # How the score field follows from the counts. No occupied cell within reach is farther than
@@ -227,7 +229,8 @@ class ParticleMaps(Stateful):
         cell = config.delta
         every = -(-len(beams.ends) // MOST_BEAMS)  # the limit of the counts
         ends, is_hit, laser = beams.ends[::every], beams.is_hit[::every], beams.laser
-        reach = float(np.hypot(*np.vstack((ends, laser)).T).max()) / cell + config.kernelSize + 1.0
+        near = config.kernelSize + 1  # tiles repeat the next cells
+        reach = float(np.hypot(*np.vstack((ends, laser)).T).max()) / cell + near + 1.0
         at = (poses - (*self.anchor, 0.0))[alive] / (cell, cell, 1.0)
         low, high = corners(at)
         maps.cover(low - reach, high + reach)
@@ -237,7 +240,7 @@ class ParticleMaps(Stateful):
         )
         pages = maps.page_tables_of(alive)
         written = np.zeros(maps.pages.shape, dtype=np.bool_)
-        written[alive] = touched = device.touch_pages(pages, scan, config.kernelSize)
+        written[alive] = touched = device.touch_pages(pages, scan, near)
         maps.make_writable(written)
         pages, pools = maps.page_tables_of(alive), maps.pools
         layers = pools["counts"], pools["sums"], pools["field"]

@@ -17,6 +17,7 @@ from slamfusion.compute.layout import (
     FACINGS,
     FULL_HITS,
     FULL_VISITS,
+    PAIRS,
     TILE,
     UNSEEN,
 )
@@ -74,9 +75,11 @@ def _climb(device: ComputeDevice, sample: Sample) -> Arrays:
     return results
 
 
-def _two_maps(sample: Sample) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.int32]]:
-    """Return a random score field, and the pages of two maps that share some of its tiles."""
-    pool, pages = _tiled_field(sample)
+def _two_maps(sample: Sample) -> tuple[npt.NDArray[np.uint16], npt.NDArray[np.int32]]:
+    """Return a random field of pairs, and the pages of two maps that share some of its tiles."""
+    pages, tiles = _window(sample)
+    pool = sample.rng.integers(0, 1 << 16, (tiles, TILE, PAIRS)).astype(np.uint16)
+    pool[0] = 0
     return pool, np.stack((pages, np.where(sample.rng.random(pages.shape) < 0.2, 0, pages)))
 
 
@@ -92,7 +95,8 @@ def _climb_maps(device: ComputeDevice, sample: Sample) -> Arrays:
     steps = 0.5 ** np.arange(4)
     sizes = np.column_stack((steps, 0.1 * steps, np.cos(0.1 * steps), np.sin(0.1 * steps)))
     climbed = [table.astype(np.float32) for table in (losses, starts, sizes)]
-    return [
+    window = device.field_window(field, device.upload(pages[0]), (-9.0, 3.5), size[:2] - 5.0)
+    return [device.download(window.cells)] + [
         device.climb_maps(
             field,
             tables,
@@ -213,7 +217,7 @@ def _hit_pools(sample: Sample, tiles: int) -> list[npt.NDArray[Any]]:
     hits = np.where(rng.random(shape) < 0.1, rng.integers(0, visits + 1), 0)
     sum_x, sum_y = (rng.integers(0, 15 * hits + 1) for _ in range(2))
     pools = [(high << 16 | low).astype(np.uint32) for high, low in ((hits, visits), (sum_x, sum_y))]
-    pools.append(rng.integers(0, 256, shape).astype(np.uint8))
+    pools.append(rng.integers(0, 1 << 16, (tiles, TILE, PAIRS)).astype(np.uint16))
     for pool in pools:
         pool[0] = 0
     return pools
@@ -303,7 +307,7 @@ def _count_and_settle(device: ComputeDevice, sample: Sample) -> Arrays:
         nearly[1 : len(counts) // 2 : 3] |= np.uint32(more)
         pools = [device.upload(pool) for pool in (nearly, sums, field)]
         for part in (scan, none):
-            touched = device.touch_pages(table, part, reach)
+            touched = device.touch_pages(table, part, reach + 1)
             full = device.count_and_settle(*pools, table, touched, part, rule)
             results += [np.array(full), *(array.copy() for array in fetch(device, pools))]
     return results

@@ -42,7 +42,8 @@ class Pair:
 
     def __init__(self, device: ComputeDevice, count: int = MAPS) -> None:
         self.device = device
-        self.shared = SharedTileMaps(self.device, count, POOLS)
+        empty = {name: np.zeros((TILE, TILE), kind) for name, kind in POOLS.items()}
+        self.shared = SharedTileMaps(self.device, count, empty)
         self.full = Full(count)
 
     def cover(self, low: tuple[int, int], high: tuple[int, int]) -> None:
