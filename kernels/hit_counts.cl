@@ -140,50 +140,92 @@ INLINE bool is_wall(const uint count, const uint occupied, const uint least_hits
   return (hits >= least_hits) & (hits * SHARE_ONE > occupied * visits);
 }
 
+/* Words of a map whose beams are all counted by one work-group. Where a group is one thread they need no
+ * atomics; `volatile` keeps the order of its items. */
+#ifdef ONE_THREAD_A_GROUP
+INLINE uint add_to_own(volatile __global uint *word, const uint more) {
+  const uint before = *word;
+  *word = before + more;
+  return before;
+}
+INLINE void join_own(volatile __global uint *word, const uint bits) { *word |= bits; }
+#else
+INLINE uint add_to_own(__global uint *word, const uint more) { return atomic_add(word, more); }
+INLINE void join_own(__global uint *word, const uint bits) { atomic_or(word, bits); }
+#endif
+
+/* Steps that a walk takes until it leaves a tile along one axis, both in 1/2^20 cell; at least 1. */
+INLINE int steps_inside(const int place, const int step) {
+  const int way = step < 0 ? place : TILE_PLACE_MASK - place;
+  return 1 + way / (step < 0 ? -step : step > 0 ? step : 1);
+}
+
 /* Count a scan: all cells from the end to the laser are visited, the end is hit if something was.
  *
+ * each     items of a map, which share its beams: those of one work-group where it is one thread
  * is_hit   uchar per beam
  * pages    int, width x height per map; cells of page 0 are left out
  * full     int: becomes 1 when a cell is FULL
  * changed  uint, a word per row of a tile, 0 before: cells that are hit, or whether they are occupied
  *          changes; see is_wall
+ * Global: (maps * each).
  */
 __kernel void count_beams(
-    SCAN, __global const uchar *is_hit, __global const int *pages, __global uint *counts,
-    __global uint *sums, __global int *full, __global uint *changed, const uint occupied,
-    const uint least_hits) {
-  const int item = get_global_id(0);
-  if (item >= maps * beams) {
+    SCAN, const int each, __global const uchar *is_hit, __global const int *pages,
+    __global uint *counts, __global uint *sums, __global int *full, __global uint *changed,
+    const uint occupied, const uint least_hits) {
+  const int item = get_global_id(0), map = item / each, share = (beams + each - 1) / each;
+  if (map >= maps) {
     return;
   }
-  const int map = item / beams, beam = item - map * beams;
-  const int2 end = placed(poses[map], ends[beam], width, height);
-  const int2 laser = placed(poses[map], (float2)(laser_x, laser_y), width, height);
-  const walk w = walk_of(end.x, end.y, laser.x, laser.y);
+  const float4 pose = poses[map];
+  const int2 laser = placed(pose, (float2)(laser_x, laser_y), width, height);
   __global const int *own = pages + map * width * height;
-  uint seen = 0, more = 1;
-  if (is_hit[beam]) {
-    const int at = tile_cell(own, width, height, end.x >> BEAM_SHIFT, end.y >> BEAM_SHIFT);
-    if (at >= TILE_CELLS) {
-      const uint x = (uint)(end.x & BEAM_MASK) >> OFFSET_SHIFT;
-      const uint y = (uint)(end.y & BEAM_MASK) >> OFFSET_SHIFT;
-      add_to_word(sums + at, x << SUM_SHIFT | y);
-    }
-    more = HIT + 1;
-  }
-  int places[AHEAD];
-  for (int first = 0; first <= (int)w.steps; first += AHEAD) {
-    const int n = look_ahead(w, first, own, width, counts, places);
-    for (int k = 0; k < n; k++) {
-      if (places[k] >= TILE_CELLS) {
-        const uint before = add_to_word(counts + places[k], more), after = before + more;
-        seen |= after;
-        if (after >= HIT &&
-            (more > 1 || is_wall(before, occupied, least_hits) != is_wall(after, occupied, least_hits))) {
-          join_word(changed + (places[k] >> TILE_SHIFT), 1u << (places[k] & TILE_MASK));
-        }
+  uint seen = 0;
+  const int first = (item - map * each) * share, end = LOWER(first + share, beams);
+  for (int beam = first; beam < end; beam++) {
+    const int2 hit = placed(pose, ends[beam], width, height);
+    const walk w = walk_of(hit.x, hit.y, laser.x, laser.y);
+    const int step_x = (int)w.step_x, step_y = (int)w.step_y;
+    int left = (int)w.steps + 1;
+    bool is_end = is_hit[beam];
+    for (long x = w.x, y = w.y; left > 0;) {
+      /* The cells of a tile. */
+      const int col = (int)(x >> WALK_SHIFT), row = (int)(y >> WALK_SHIFT);
+      const int tile = own[(row >> TILE_SHIFT) * width + (col >> TILE_SHIFT)];
+      int east = (int)x & TILE_PLACE_MASK, north = (int)y & TILE_PLACE_MASK;
+      const int across = steps_inside(east, step_x), along = steps_inside(north, step_y);
+      const int run = LOWER(LOWER(across, along), left);
+      left -= run;
+      x += (long)run * step_x;
+      y += (long)run * step_y;
+      if (tile == 0) {
+        is_end = false;
+        continue;
       }
-      more = 1;
+      uint more = 1;
+      __global uint *cells = counts + tile * TILE_CELLS;
+      if (is_end) {
+        const uint sum_x = (uint)(hit.x & BEAM_MASK) >> OFFSET_SHIFT;
+        const uint sum_y = (uint)(hit.y & BEAM_MASK) >> OFFSET_SHIFT;
+        const int at = north >> WALK_SHIFT << TILE_SHIFT | east >> WALK_SHIFT;
+        add_to_own(sums + tile * TILE_CELLS + at, sum_x << SUM_SHIFT | sum_y);
+        more = HIT + 1;
+        is_end = false;
+      }
+      for (int i = 0; i < run; i++) {
+        const int at = north >> WALK_SHIFT << TILE_SHIFT | east >> WALK_SHIFT;
+        const uint before = add_to_own(cells + at, more), after = before + more;
+        seen |= after;
+        if (after >= HIT) {
+          if (more > 1 || is_wall(before, occupied, least_hits) != is_wall(after, occupied, least_hits)) {
+            join_own(changed + tile * TILE + (at >> TILE_SHIFT), 1u << (at & TILE_MASK));
+          }
+          more = 1;
+        }
+        east += step_x;
+        north += step_y;
+      }
     }
   }
   if (seen & FULL) {

@@ -30,6 +30,7 @@ from slamfusion.compute.layout import (
     BEAM_ONE,
     CELL_HALF,
     CELL_ONE,
+    CLIMBERS,
     FULL_HITS,
     FULL_VISITS,
     HITS_SHIFT,
@@ -185,14 +186,18 @@ def _square(reach: int) -> list[tuple[int, int]]:
 
 
 def _launch_beams(
-    device: OpenCLDevice, name: str, pages: DeviceArray[np.int32], scan: BeamScan, *arguments: Any
+    device: OpenCLDevice,
+    name: str,
+    each: int,
+    pages: DeviceArray[np.int32],
+    scan: BeamScan,
+    *arguments: Any,
 ) -> None:
-    """Start a kernel with an item for each beam in each map."""
+    """Start a kernel with ``each`` items for a map."""
     maps, height, width = pages.shape
-    beams = len(scan.ends)
     # The scan is copied: the kernel may still run when its arrays are gone.
     device.launch(
-        name, (maps * beams,), device.upload(scan.ends), beams, *scan.laser,
+        name, (maps * each,), device.upload(scan.ends), len(scan.ends), *scan.laser,
         device.upload(scan.poses), *(maps, width, height), *arguments,
     )  # fmt: skip
 
@@ -230,7 +235,7 @@ class HitCountDevice(ArrayDevice):
         """
         if self.opencl:
             out = self.opencl.cleared(pages.shape, np.uint8)
-            _launch_beams(self.opencl, "touch_pages", pages, scan, reach, out)
+            _launch_beams(self.opencl, "touch_pages", len(scan.ends), pages, scan, reach, out)
             return self.download(out)
         pages = host(pages)
         touched = np.zeros(pages.shape, dtype=np.uint8)
@@ -315,9 +320,10 @@ class HitCountDevice(ArrayDevice):
             marks = self.opencl.cleared((counts.shape[0], TILE), np.uint32)
             full = self.opencl.upload(np.zeros(1, dtype=np.int32))
             wall = np.uint32(rule.occupied), np.uint32(rule.least_hits)
+            each = CLIMBERS if self.opencl.is_pocl else max(1, len(scan.ends))
             _launch_beams(
-                self.opencl, "count_beams", pages, scan, self.upload(scan.is_hit), pages, counts,
-                sums, full, marks, *wall,
+                self.opencl, "count_beams", each, pages, scan, each, self.upload(scan.is_hit),
+                pages, counts, sums, full, marks, *wall,
             )  # fmt: skip
             near = np.flatnonzero(touched.view(np.bool_)).astype(np.int32)  # ten times as fast
             self.opencl.launch(

@@ -139,6 +139,8 @@ BEAM_HALF: Final = BEAM_ONE // 2
 # A walk's positions and steps count in 1/2^20 cell; from there to 1/1024 cell.
 WALK_SHIFT: Final = 20
 WALK_TO_BEAM_SHIFT: Final = WALK_SHIFT - BEAM_SHIFT
+# The place in a tile of a walk's position.
+TILE_PLACE_MASK: Final = (TILE << WALK_SHIFT) - 1
 
 # -- scan matching ---------------------------------------------------------------------------------
 

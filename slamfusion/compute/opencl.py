@@ -92,7 +92,8 @@ class OpenCLArray(Generic[Scalar]):
 class OpenCLDevice(ComputeDevice):
     """One OpenCL device with an in-order queue and all kernels, and the arrays on it.
 
-    ``wanted`` is its name for ``open_device``; with ``shares_memory`` it uses the host's arrays.
+    ``wanted`` is its name for ``open_device``; with ``shares_memory`` it uses the host's arrays;
+    if ``is_pocl``, a work-group is one thread, one item after the other.
 
     Raises:
         DeviceError: no such device, or the kernels do not build on it.
@@ -107,9 +108,11 @@ class OpenCLDevice(ComputeDevice):
         is_cpu = bool(self.device.type & cl.device_type.CPU)
         self.shares_memory = is_cpu and not is_simulator(self.device)
         options = ["-w", *kernel_options()]
-        is_x86 = platform.machine().lower() in {"x86_64", "amd64"}
-        if is_cpu and is_x86 and self.device.platform.name.strip() == PLATFORM:
-            options.append("-DUNALIGNED_WORDS")
+        self.is_pocl = is_cpu and self.device.platform.name.strip() == PLATFORM
+        if self.is_pocl:
+            options.append("-DONE_THREAD_A_GROUP")
+            if platform.machine().lower() in {"x86_64", "amd64"}:
+                options.append("-DUNALIGNED_WORDS")
         if is_single_thread(self.device):
             options.append("-DONE_THREAD")
         program = cl.Program(self.context, kernel_source(kernel_folder()))
