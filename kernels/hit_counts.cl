@@ -20,9 +20,9 @@
 
 #define HIT (1u << HITS_SHIFT)
 /* Cells of a row that a wall reaches, and some more, at once; and columns with room for them around a
- * tile's own and its edge. */
+ * tile's own and its edge: whole vectors. */
 #define BLOCK 8
-#define COLUMNS (2 * MOST_REACH + PAIRS + BLOCK)
+#define COLUMNS ((2 * MOST_REACH + PAIRS + 2 * BLOCK - 1) & -BLOCK)
 /* A squared distance, in (1/256 cell)^2, from which on there is no wall within reach. */
 #define FARTHEST (1 << 27)
 /* Bits of a count that is full. A scan has fewer beams than FULL_HITS, so that no half of a word of
@@ -372,8 +372,10 @@ __kernel void settle_field(
   /* The least squared distance from each cell to a mean hit. */
   int least[TILE + 1][COLUMNS];
   for (int row = 0; row <= TILE; row++) {
-    for (int n = 0; n < COLUMNS; n++) {
-      least[row][n] = FARTHEST;
+    if (mine[row] != 0) {
+      for (int n = 0; n < COLUMNS; n++) {
+        least[row][n] = FARTHEST;
+      }
     }
   }
   for (int k = -reach; k <= TILE + reach; k++) {
@@ -394,6 +396,9 @@ __kernel void settle_field(
         across2[n] = n <= 2 * reach ? dx * dx : FARTHEST;
       }
       for (int n = HIGHER(k - reach, 0); n <= LOWER(k + reach, TILE); n++) {
+        if (mine[n] == 0) {
+          continue;
+        }
         const int dy = (k - n) * CELL_ONE + y;
         int *best = least[n] + col + reach;
         for (int m = 0; m < BLOCK; m++) {
