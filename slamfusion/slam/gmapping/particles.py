@@ -255,14 +255,16 @@ LEAST_SIGMAS = (1e-3, 1e-3, 1e-3)
 class ParticlePaths(Stateful):
     """The paths of N particles.
 
-    A node is a filter step: a pose of each particle and its parent in the node before. Scans
-    between two nodes are the same small motion for every particle, counted from the last node.
+    A node is a filter step: a pose of each particle and its parent in the node before. Of the first
+    nodes, where all particles have one ancestor, only its poses are kept. Scans between two nodes
+    are the same small motion for every particle, counted from the last node.
     """
 
-    STATE = ("_poses", "_parents", "_entropies", "_scans")
+    STATE = ("_common", "_poses", "_parents", "_entropies", "_scans")
 
     def __init__(self, count: int) -> None:
         self._count = count
+        self._common = Rows(3)
         self._poses: list[F64] = []
         self._parents: list[I32] = []
         self._entropies = Rows(1)
@@ -272,30 +274,50 @@ class ParticlePaths(Stateful):
     @property
     def memory_bytes(self) -> int:
         """Bytes of nodes and scans."""
-        return len(self._poses) * self._count * 28 + len(self._scans) * 40
+        nodes = len(self._common) * 24 + len(self._poses) * self._count * 28
+        return nodes + len(self._scans) * 40
 
     def add_node(self, poses: F64, parents: I64 | None) -> None:
         """Add a filter step with poses (N, 3) and parents (N,); None: each is its own parent."""
-        own = np.arange(self._count) if parents is None else parents
+        if parents is None:
+            parents = np.arange(self._count)
+        else:
+            self._join(parents)
         self._poses.append(poses.copy())
-        self._parents.append(own.astype(np.int32))
+        self._parents.append(parents.astype(np.int32))
         self._entropies.append(_entropy(poses))
 
     def add_scan(self, stamp_s: float, moved: Pose2) -> None:
         """Add a scan by its motion since the last node, or since the origin before the first."""
-        self._scans.append(stamp_s, len(self._poses) - 1, moved.x, moved.y, moved.yaw_rad)
+        self._scans.append(stamp_s, len(self._entropies) - 1, moved.x, moved.y, moved.yaw_rad)
 
     def path(self, index: int, name: str) -> Trajectory:
         """Return the path of a particle at every scan."""
-        at = np.empty((len(self._poses), 3))
-        for number in range(len(self._poses) - 1, -1, -1):
-            at[number] = self._poses[number][index]
-            index = int(self._parents[number][index])
         # Node -1, before the first, is the frame's origin.
-        at = np.concatenate((at, np.zeros((1, 3))))
+        own = self._line(index, len(self._poses))
+        at = np.concatenate((self._common.array(), own, np.zeros((1, 3))))
         scans = self._scans.array()
         nodes = scans[:, 1].astype(np.int64)
         return Trajectory(scans[:, 0], compose_poses(at[nodes], scans[:, 2:]), name)
+
+    def _line(self, index: int, count: int) -> F64:
+        """Return the poses (count, 3) of the first nodes, up to a particle of the last of them."""
+        at = np.empty((count, 3))
+        for number in range(count - 1, -1, -1):
+            at[number] = self._poses[number][index]
+            index = int(self._parents[number][index])
+        return at
+
+    def _join(self, parents: I64) -> None:
+        """Keep one pose of nodes where the parents (N,), in the last node, have one ancestor."""
+        ancestors = parents
+        for count in range(len(self._poses), 0, -1):
+            if (ancestors == ancestors[0]).all():
+                for pose in self._line(int(ancestors[0]), count):
+                    self._common.append(*pose)
+                del self._poses[:count], self._parents[:count]
+                return
+            ancestors = self._parents[count - 1][ancestors].astype(np.int64)
 
     def entropy(self) -> float | None:
         """Return the mean over the nodes of the entropy of the particles there, in nats."""

@@ -81,6 +81,16 @@ def test_saved_and_restored_paths_are_the_same_and_go_on():
     assert again.memory_bytes == paths.memory_bytes > drawn_tree().memory_bytes
 
 
+def test_nodes_before_the_last_common_ancestor_take_one_pose_each():
+    joined, apart = ParticlePaths(30), ParticlePaths(30)
+    rng = np.random.default_rng(5)
+    for number in range(100):
+        poses = rng.uniform(-1.0, 1.0, (30, 3))
+        joined.add_node(poses, np.full(30, number % 30))
+        apart.add_node(poses, None)
+    assert joined.memory_bytes < apart.memory_bytes / 20
+
+
 # -- entropy ---------------------------------------------------------------------------------------
 
 
