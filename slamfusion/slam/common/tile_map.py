@@ -27,9 +27,9 @@ from slamfusion.slam.common.state import check_arrays, check_indices
 
 # Tiles for which a pool reserves memory at first: a room's, so that a small map is never copied.
 FIRST_ROOM = 64
-# The same of shared maps: a large building's with 30 particles. To copy that many tiles would take
-# longer than many scans; on a CPU memory that was never written takes no room.
-SHARED_ROOM = 1 << 14
+# The same of shared maps: hours in a large building, 30 particles. A copy takes longer than many
+# scans, and twice the memory; on a CPU memory that was never written takes no room.
+SHARED_ROOM = 1 << 15
 # Empty pages that the window keeps between its content and its border, so that it seldom moves.
 MARGIN = 2
 # Pages that a window may have: 64 MB of page table, far beyond any building.
