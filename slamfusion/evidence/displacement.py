@@ -16,7 +16,7 @@ Royal Statistical Society B 36(2), 1974 (choose on one part, test on the other).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -25,6 +25,7 @@ import scipy
 from slamfusion.evidence.beams import CHUNKS
 from slamfusion.evidence.parting import PART_M
 from slamfusion.evidence.predictive import (
+    LATTICE_YAW_RAD,
     NEIGHBOURS,
     OTHERS,
     REACH_CELLS,
@@ -33,7 +34,8 @@ from slamfusion.evidence.predictive import (
     DrawnChunks,
     PathEvidence,
 )
-from slamfusion.geometry import F64, I64, U32
+from slamfusion.geometry import F64, I64, U32, Pose2
+from slamfusion.trajectory import Trajectory
 
 # If more of the seen walls were free space before, the robot is elsewhere.
 CONTRADICTED = 0.5
@@ -50,8 +52,8 @@ LEAST_M = 0.5 * PART_M
 WALL_CELLS = 2
 # Blocks of neighbouring scans of a chunk; places are chosen on every second one.
 BLOCKS = 8
-# The most moved hits: 200 a chunk.
-MOST_HITS = 200 * CHUNKS
+# The most moved hits, 200 a chunk; and parts of the motions, which bound the memory.
+MOST_HITS, PARTS = 200 * CHUNKS, 8
 # What was seen before each of these shares of the drive is compared with what was seen after it.
 SPLITS = (0.25, 0.5, 0.75)
 # Log-likelihood of a hit where nothing was seen.
@@ -105,12 +107,9 @@ def find_displacements(evidence: PathEvidence, name: str) -> tuple[Displacement,
         picked, own = some[is_seen], np.maximum(likelihoods[is_seen], PRICE)
         block = drawn.hit_scans[picked] * (CHUNKS * BLOCKS) // len(scans)
         hits = np.maximum(np.bincount(block, minlength=CHUNKS * BLOCKS), 1)
-        gains = np.empty((len(MOVES_M), CHUNKS, BLOCKS))
-        for number, move in enumerate(MOVES_M):
-            likelihoods, _ = drawn.look_up(picked, (float(move[0]), float(move[1])), among)
-            gain = np.maximum(likelihoods, PRICE) - own
-            sums = np.bincount(block, gain, CHUNKS * BLOCKS)
-            gains[number] = (sums / hits).reshape(CHUNKS, BLOCKS)
+        moved = np.maximum(_moved(drawn, picked, among), PRICE) - own
+        sums = np.array([np.bincount(block, gain, CHUNKS * BLOCKS) for gain in moved])
+        gains = (sums / hits).reshape(-1, CHUNKS, BLOCKS)
         found = _p_values(gains)
         is_surer = found < p_values
         p_values[is_surer] = found[is_surer]
@@ -158,14 +157,45 @@ def find_contradiction(evidence: PathEvidence, name: str) -> Contradiction | Non
         return None
     late = some[drawn.chunks[some] >= first]
     late = late[drawn.look_up(late, among=_before(first))[1]]
-    found = np.array(
-        [drawn.look_up(late, (float(x), float(y)), _before(first))[0] for x, y in MOVES_M.tolist()]
-    )
+    found = _moved(drawn, late, _before(first))
     chunks = drawn.chunks[late]
     by_chunk = [np.bincount(chunks, np.maximum(row, PRICE), CHUNKS) for row in found]
     moved = found[np.argmax(by_chunk, axis=0)[chunks], np.arange(len(late))]
     since_s = scans.stamps_s[np.flatnonzero(scans.chunks == first)[0]] - scans.stamps_s[0]
     return Contradiction(float(since_s), float(shares[first]), float(np.mean(moved < PRICE)))
+
+
+def moved_together(evidence: PathEvidence, name: str, path: Trajectory) -> tuple[Trajectory, float]:
+    """Move all scans after some time together to where they fit those before it best.
+
+    Returns:
+        ``path``, whose score is that called ``name``, with the time and the motion that gain most;
+        and the gain, the mean log-likelihood of all hits.
+    """
+    scans, drawn = evidence.scans, _drawn(evidence, name, WALL_CELLS)
+    some = _some_hits(drawn)
+    since, most, move_m = 0, 0.0, np.zeros(2)
+    for first in range(2, CHUNKS):
+        late = some[drawn.chunks[some] >= first]
+        late = late[drawn.look_up(late, _before(first))[1]]
+        sums = _moved(drawn, late, _before(first)).sum(axis=1)
+        gain = float(sums.max() - sums[len(sums) // 2]) / len(some)
+        if gain > most:
+            since, most, move_m = first, gain, MOVES_M[sums.argmax()]
+    yaw_rad = float(evidence.scores[name].poses[evidence.is_judged][0, 2]) - LATTICE_YAW_RAD
+    poses = path.poses.copy()
+    is_late = path.stamps_s >= scans.stamps_s[scans.chunks.searchsorted(since)]
+    poses[is_late, :2] += Pose2(0.0, 0.0, yaw_rad).transform(move_m)
+    return replace(path, poses=poses), most
+
+
+def _moved(drawn: DrawnChunks, picked: I64, among: U32) -> F64:
+    """Return how likely hits are at each of ``MOVES_M``, (M, P) log-likelihoods."""
+    parts = [
+        drawn.look_up(np.tile(picked, len(some)), among, np.repeat(some, len(picked), axis=0))[0]
+        for some in np.array_split(MOVES_M, PARTS)
+    ]
+    return np.concatenate(parts).reshape(len(MOVES_M), -1)
 
 
 def _drawn(evidence: PathEvidence, name: str, reach_cells: int = REACH_CELLS) -> DrawnChunks:

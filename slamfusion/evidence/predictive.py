@@ -363,23 +363,21 @@ class DrawnChunks:
         return cls(device, reach_cells, hit_scans, chunks, beams, facings, table, hits, seen)
 
     def look_up(
-        self,
-        picked: I64 | slice = np.s_[:],
-        moved_m: tuple[float, float] = (0.0, 0.0),
-        among: U32 = OTHERS,
+        self, picked: I64 | slice = np.s_[:], among: U32 = OTHERS, moved_m: F64 | None = None
     ) -> tuple[F64, B8]:
         """Return how likely hits are under what other chunks drew.
 
         among: (CHUNKS,) uint32, for each chunk the bits of the chunks that count; default: all
             except itself and its neighbours.
+        moved_m: (P, 2) float64, by how much each is moved along the lattice, metres.
 
         Returns:
             (P,) float64 log-likelihoods, and (P,) bool, whether others have seen the place.
         """
         beams = self.beams[picked]
-        if any(moved_m):
+        if moved_m is not None:
             beams = beams.copy()
-            beams[:, :2] += np.rint(np.array(moved_m) * BEAM_ONE / CELL_M).astype(np.int32)
+            beams[:, :2] += np.rint(moved_m * (BEAM_ONE / CELL_M)).astype(np.int32)
         left_out = ~among[self.chunks[picked]]
         upload = self.device.upload
         return log_likelihoods(

@@ -25,7 +25,9 @@ The refinement reaches as far as walls of one place are drawn near each other. I
 little twice, the SLAMs may be further off, and the odometry closer: on a short drive with a narrow
 view, over a threshold where wheels slip. So if the scans support the odometry nearly as well as the
 path, the path is also refined from the odometry, and the scans decide. If they are undecided, the
-start at the odometry is taken: the SLAMs use the odometry too, and distort it.
+start at the odometry is taken: the SLAMs use the odometry too, and distort it. Where the wheels
+slipped and the scans see little, the parts of the drive before and after are each right, and too
+far apart for the refinement: all scans after some time are moved together, as long as that gains.
 """
 
 from __future__ import annotations
@@ -37,6 +39,7 @@ import numpy as np
 import scipy
 
 from slamfusion.evidence.beams import JudgedScans, cover_stamps
+from slamfusion.evidence.displacement import moved_together
 from slamfusion.evidence.known_motions import KnownMotions, MotionEquations
 from slamfusion.evidence.patches import LATTICES, Patches, SurfaceHits, line_inverses, line_sums
 from slamfusion.evidence.path_frames import laid_onto
@@ -241,6 +244,15 @@ def _from_odometry(
     if told < score.consistency - NEAR:
         return None
     refined, both = _settled(evidence, wheels, told)
+    for _ in range(MOST_ROUNDS):
+        told = both.scores[_REFINED].consistency
+        moved, gain = moved_together(both, _REFINED, refined)
+        if gain < GAIN:
+            break
+        again, with_again = _settled(evidence, moved, told)
+        if with_again.scores[_REFINED].consistency <= told:
+            break
+        refined, both = again, with_again
     poses = laid_onto(refined.poses, path.poses)
     return Trajectory(path.stamps_s, poses, path.name), both
 

@@ -102,3 +102,16 @@ def test_where_the_odometry_is_nearer_the_path_is_sought_from_it(
     assert np.median(off_m) < 0.6
     again = with_path(evidence, "fused", path).scores["fused"]
     assert with_refined.scores["fused"].consistency == pytest.approx(again.consistency, abs=2e-3)
+
+
+def test_where_the_odometry_jumps_the_parts_of_the_drive_are_moved_together(
+    device: ComputeDevice, scans: JudgedScans
+) -> None:
+    truth = circuit()
+    # Wheels slip between the two rounds, by more than a hit is moved to a wall.
+    given = replace(moved(truth, (0.4, -0.2, 0.0), len(truth) // 2), name="fused")
+    slipped = replace(scans, odometry=given.poses)
+    path, _, found = refine_borne_out(score_paths(slipped, {"given": given}, device), given)
+    assert (found.taken, found.start) == (True, "odometry")
+    assert worst_m(given, truth) > 0.4
+    assert worst_m(path, truth) < 0.02
