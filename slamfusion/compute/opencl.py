@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import mmap
 import platform
 import re
 import threading
@@ -237,6 +238,14 @@ class OpenCLDevice(ComputeDevice):
         array = self.empty(shape, dtype)
         self.fill(array, 0)
         return array
+
+    def zeros(self, shape: tuple[int, ...], dtype: npt.DTypeLike) -> OpenCLArray[Any]:
+        """Reserve an array of zeros, each page at the first write to it on the host's memory."""
+        size = math.prod(shape) * np.dtype(dtype).itemsize
+        if not (self.shares_memory and size):
+            return self.cleared(shape, dtype)
+        pages = mmap.mmap(-1, size, mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
+        return self.wrap_host(np.frombuffer(pages, dtype).reshape(shape), writable=True)
 
     def table(self, array: npt.NDArray[Scalar]) -> OpenCLArray[Scalar]:
         """Upload a small constant table once."""

@@ -355,7 +355,7 @@ class DrawnChunks:
         table = device.upload(pages)
         tiles = int(pages.max()) + 1
         hits, seen = (
-            device.extend(device.upload(np.zeros((1, *cells), dtype=np.uint32)), tiles, 0)
+            device.zeros((tiles, *cells), np.uint32)
             for cells in ((FACINGS, TILE, TILE), (TILE, TILE))
         )
         ends, faces = device.upload(beams), device.upload(facings)

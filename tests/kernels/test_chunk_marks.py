@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import psutil
 import pytest
 
 from slamfusion.compute import ComputeDevice
@@ -29,8 +30,8 @@ def look_up(
     def up(values: npt.ArrayLike, kind: type) -> Any:
         return device.upload(np.array(values, dtype=kind))
 
-    hits = up(np.zeros((2, FACINGS, TILE, TILE)), np.uint32)
-    seen = up(np.zeros((2, TILE, TILE)), np.uint32)
+    hits = device.zeros((2, FACINGS, TILE, TILE), np.uint32)
+    seen = device.zeros((2, TILE, TILE), np.uint32)
     pages = up(PAGES, np.int32)
     device.mark_chunks(
         hits, seen, pages, up(BEAM, np.int32), up([0], np.int32), up([BIT], np.uint32)
@@ -62,3 +63,10 @@ def test_the_other_face_of_a_wall_is_not_found(pocl: ComputeDevice, facing: int)
 def test_beyond_the_window_there_is_nothing(pocl: ComputeDevice):
     for cell in ((-5, 40), (40, -5), (500, 40), (40, 500), (10, 10)):
         assert look_up(pocl, cell) == [-1, 0]
+
+
+def test_where_nothing_is_marked_no_memory_is_taken(pocl: ComputeDevice):
+    before = psutil.Process().memory_info().rss
+    hits = pocl.zeros((4096, FACINGS, TILE, TILE), np.uint32)
+    taken = psutil.Process().memory_info().rss - before
+    assert taken < 0.1 * hits.size * hits.dtype.itemsize
