@@ -216,6 +216,8 @@ class LiveFusion(Mailbox):
         self._expect()
         clock.append(time.perf_counter())
         self._supervisor.align(now_s, is_idle=not has_news)
+        for one in self._inputs.values():
+            one.release()
         self._place()
         clock.append(time.perf_counter())
         box = self._vote()

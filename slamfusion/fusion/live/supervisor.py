@@ -209,9 +209,6 @@ class InputSupervisor:
                 one.tried = (one.version, reference.name, reference.version)
                 one.turn(Reason.FAILED, why=str(error) or type(error).__name__)
             cells += own
-        if cells:
-            for one in self.inputs.values():
-                one.release()
 
     def _align(self, one: Input, reference: Input) -> None:
         """Align an input to the reference: tracked, or else searched everywhere."""
