@@ -93,12 +93,13 @@ INLINE int kept_page(const int page, const int pages) {
   return page < 0 ? 0 : page < pages ? page : pages - 1;
 }
 
-/* Cells that a walk may go on along one axis before the page of cell + reach or cell - reach is
- * another one; at least 1. */
-INLINE int to_next_page(const int cell, const int reach, const long step) {
-  const int high = (cell + reach) & TILE_MASK, low = (cell - reach) & TILE_MASK;
-  const int up = TILE - (high > low ? high : low), down = 1 + (high < low ? high : low);
-  return step < 0 ? down : up;
+/* Steps of a walk along one axis, from a place on, both in 1/2^20 cell, until the tile `reach` cells ahead
+ * or behind is another one; at least 1. */
+INLINE int steps_inside(const long place, const int reach, const int step) {
+  const int high = (int)(place + ((long)reach << WALK_SHIFT)) & TILE_PLACE_MASK;
+  const int low = (int)(place - ((long)reach << WALK_SHIFT)) & TILE_PLACE_MASK;
+  const int way = step < 0 ? LOWER(high, low) : TILE_PLACE_MASK - HIGHER(high, low);
+  return 1 + way / (step < 0 ? -step : HIGHER(step, 1));
 }
 
 /* Say which pages a scan will come near.
@@ -117,19 +118,22 @@ __kernel void touch_pages(SCAN, const int reach, __global uchar *touched) {
   const int2 laser = placed(poses[map], (float2)(laser_x, laser_y), width, height);
   const walk w = walk_of(end.x, end.y, laser.x, laser.y);
   __global uchar *own = touched + map * width * height;
-  for (int i = 0; i <= (int)w.steps;) {
-    const int2 cell = walked_cell(w, i);
-    __global uchar *low = own + kept_page((cell.y - reach) >> TILE_SHIFT, height) * width;
-    __global uchar *high = own + kept_page((cell.y + reach) >> TILE_SHIFT, height) * width;
-    const int left = kept_page((cell.x - reach) >> TILE_SHIFT, width);
-    const int right = kept_page((cell.x + reach) >> TILE_SHIFT, width);
-    low[left] = 1;
-    low[right] = 1;
-    high[left] = 1;
-    high[right] = 1;
-    const int across = to_next_page(cell.x, reach, w.step_x);
-    const int along = to_next_page(cell.y, reach, w.step_y);
-    i += across < along ? across : along;
+  const int step_x = (int)w.step_x, step_y = (int)w.step_y;
+  long x = w.x, y = w.y;
+  for (int left = (int)w.steps + 1; left > 0;) {
+    const int col = (int)(x >> WALK_SHIFT), row = (int)(y >> WALK_SHIFT);
+    __global uchar *low = own + kept_page((row - reach) >> TILE_SHIFT, height) * width;
+    __global uchar *high = own + kept_page((row + reach) >> TILE_SHIFT, height) * width;
+    const int west = kept_page((col - reach) >> TILE_SHIFT, width);
+    const int east = kept_page((col + reach) >> TILE_SHIFT, width);
+    low[west] = 1;
+    low[east] = 1;
+    high[west] = 1;
+    high[east] = 1;
+    const int run = LOWER(steps_inside(x, reach, step_x), steps_inside(y, reach, step_y));
+    left -= run;
+    x += (long)run * step_x;
+    y += (long)run * step_y;
   }
 }
 
@@ -153,12 +157,6 @@ INLINE void join_own(volatile __global uint *word, const uint bits) { *word |= b
 INLINE uint add_to_own(__global uint *word, const uint more) { return atomic_add(word, more); }
 INLINE void join_own(__global uint *word, const uint bits) { atomic_or(word, bits); }
 #endif
-
-/* Steps that a walk takes until it leaves a tile along one axis, both in 1/2^20 cell; at least 1. */
-INLINE int steps_inside(const int place, const int step) {
-  const int way = step < 0 ? place : TILE_PLACE_MASK - place;
-  return 1 + way / (step < 0 ? -step : step > 0 ? step : 1);
-}
 
 /* Count a scan: all cells from the end to the laser are visited, the end is hit if something was.
  *
@@ -194,8 +192,8 @@ __kernel void count_beams(
       const int col = (int)(x >> WALK_SHIFT), row = (int)(y >> WALK_SHIFT);
       const int tile = own[(row >> TILE_SHIFT) * width + (col >> TILE_SHIFT)];
       int east = (int)x & TILE_PLACE_MASK, north = (int)y & TILE_PLACE_MASK;
-      const int across = steps_inside(east, step_x), along = steps_inside(north, step_y);
-      const int run = LOWER(LOWER(across, along), left);
+      const int inside = LOWER(steps_inside(x, 0, step_x), steps_inside(y, 0, step_y));
+      const int run = LOWER(inside, left);
       left -= run;
       x += (long)run * step_x;
       y += (long)run * step_y;
