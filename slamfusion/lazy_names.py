@@ -1,4 +1,4 @@
-"""Packages whose names are loaded on first use (PEP 562)."""
+"""Packages whose names or modules are loaded on first use (PEP 562)."""
 
 from __future__ import annotations
 
@@ -22,6 +22,8 @@ def lazy_names(package: str, file: str) -> tuple[list[str], Callable[[str], Any]
     def load(name: str) -> Any:
         if name not in homes:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
+        if homes[name] == package:
+            return importlib.import_module(f"{package}.{name}")
         value = getattr(importlib.import_module(homes[name]), name)
         vars(sys.modules[package])[name] = value
         return value

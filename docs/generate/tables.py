@@ -13,8 +13,8 @@ from typing import Any
 
 from slamfusion.experiments.real_logs import REFERENCE
 from slamfusion.experiments.tinyslam import ATE, RELATIONS
-from slamfusion.jobs.documents import p_text
 from slamfusion.jobs.outputs import DRAWN
+from slamfusion.jobs.records import p_text
 from slamfusion.slam.registry import BUILT_IN
 
 __all__ = [

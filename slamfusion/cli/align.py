@@ -9,14 +9,15 @@ from typing import TYPE_CHECKING
 
 import click
 
+from slamfusion import jobs
 from slamfusion.cli import options, output
 from slamfusion.cli.help import Command
 from slamfusion.cli.paths import MAP
 from slamfusion.config import RunConfig
 from slamfusion.errors import AlignmentError
-from slamfusion.jobs.documents import number
 from slamfusion.jobs.inputs import PixelSizes, device_for, load_maps, load_truth
 from slamfusion.jobs.outputs import OVERLAY, PLACED, PLAN, WORLD_FILE, plan_files
+from slamfusion.jobs.records import Circumstances, number
 
 if TYPE_CHECKING:
     from slamfusion.align.records import Alignment
@@ -63,21 +64,16 @@ def command(
     exit code is 1 if the alignment is rejected. If a start has no M and RAD, the --window options
     apply around it.
     """
-    from slamfusion.jobs.align import AlignDocument, align_maps  # noqa: PLC0415
-    from slamfusion.jobs.records import Circumstances  # noqa: PLC0415
-
     message = "-o and --scale belong together; give both or neither"
     options.refuse(scale is None and folder is not None, message)
     options.refuse(scale and starts, "--scale searches everywhere; leave --start out")
     device = device_for(config)
     if scale is not None:
-        from slamfusion.jobs.plan import align_plan  # noqa: PLC0415
-
         still, moved = (
             load_truth(path, config, resolution=resolution, scale=its, warn=output.notice)
             for path, its in ((reference, None), (moving, scale))
         )
-        plan = align_plan(still, moved, config, device, scale=scale)
+        plan = jobs.plan.align_plan(still, moved, config, device, scale=scale)
         found, moved = plan.alignment, plan.plan
         if folder is not None and found.accepted:
             plan.save(folder, config.fusion.normalize)
@@ -88,10 +84,11 @@ def command(
         starts = _named(starts, moved.name)
         config = options.with_starts(config, starts)
         with options.start_errors(starts):
-            found = align_maps(still, moved, config, device)
+            found = jobs.align.align_maps(still, moved, config, device)
     factor = None if scale is None else plan.scale
     made_by = Circumstances(device.name, config)
-    is_json = output.print_if_json(AlignDocument(found, made_by, moved.resolution, factor))
+    document = jobs.align.AlignDocument(found, made_by, moved.resolution, factor)
+    is_json = output.print_if_json(document)
     if not is_json:
         _print_alignment(found, device.name, None if scale is None else moved.resolution)
     if not found.accepted:

@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
+from slamfusion import evaluation, jobs
 from slamfusion.cli import options
 from slamfusion.cli.help import Command
 from slamfusion.cli.output import NOTHING, notice, print_facts, print_if_json, print_table
 from slamfusion.cli.paths import FILE
 from slamfusion.cli.results import print_by_case, table_option
-from slamfusion.jobs.documents import number, p_text
-
-if TYPE_CHECKING:
-    from slamfusion.jobs.compare import ComparedResults, Comparison
+from slamfusion.jobs.records import number, p_text
 
 # Of a table: figures of several sizes.
 DIGITS = 4
@@ -43,11 +40,9 @@ def command(files: tuple[Path, ...], plot_path: Path | None) -> None:
     seed form pairs; if the seeds differ, the means over the seeds do. Without a common case the
     results are compared as two independent samples.
     """
-    from slamfusion.jobs.compare import compare_results, write_comparison_plot  # noqa: PLC0415
-
-    found = compare_results(files)
+    found = jobs.compare.compare_results(files)
     if plot_path is not None:
-        write_comparison_plot(found, plot_path)
+        jobs.compare.write_comparison_plot(found, plot_path)
     for sentence in found.notes:
         notice(sentence)
     if print_if_json(found):
@@ -56,29 +51,26 @@ def command(files: tuple[Path, ...], plot_path: Path | None) -> None:
     print_facts(("plot", plot_path))
 
 
-def print_comparison(found: ComparedResults) -> None:
+def print_comparison(found: jobs.compare.ComparedResults) -> None:
     """Print a table of the figures, then those of each case over its seeds."""
     import pandas as pd  # noqa: PLC0415  (an extra)
-
-    from slamfusion.jobs.results import KEYS, figures_of, means_of  # noqa: PLC0415
 
     _print_figures(found)
     if not any((item.table["seed"] != "").any() for item in found.results):
         return
     by_seed = {
-        item.name: means_of(figures_of(item.table), ["case", "seed"]) for item in found.results
+        item.name: jobs.results.means_of(jobs.results.figures_of(item.table), ["case", "seed"])
+        for item in found.results
     }
-    figures = pd.concat(by_seed, names=["method"]).reorder_levels(KEYS)
+    figures = pd.concat(by_seed, names=["method"]).reorder_levels(jobs.results.KEYS)
     print_by_case(figures, "results", LEADING)
 
 
-def _print_figures(found: ComparedResults) -> None:
-    from slamfusion.evaluation.measured import figure_of  # noqa: PLC0415  (loads slowly)
-
+def _print_figures(found: jobs.compare.ComparedResults) -> None:
     has_names = len(found.results) > 2
     rows = [
         [
-            figure_of(item.figure).label,
+            evaluation.measured.figure_of(item.figure).label,
             *([item.first, item.second] if has_names else []),
             *_numbers(item.mean_first, item.mean_second, item.difference),
             item.better or NOTHING,
@@ -113,7 +105,7 @@ def _numbers(*values: float | None) -> list[str]:
     return [number(value, DIGITS) for value in values]
 
 
-def _interval(item: Comparison) -> str:
+def _interval(item: jobs.compare.Comparison) -> str:
     """Return the interval of the difference as a cell; a dash where there is none."""
     low, high = _numbers(item.low, item.high)
     return NOTHING if low == NOTHING else f"{low} to {high}"

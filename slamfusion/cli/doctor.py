@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from slamfusion import jobs
 from slamfusion.cli import options
 from slamfusion.cli.help import Command
 from slamfusion.cli.output import print_if_json, print_table
@@ -25,9 +26,7 @@ def command(config: RunConfig) -> None:
 
     Lists versions and devices and tests three kernels.
     """
-    from slamfusion.jobs.doctor import check_installation  # noqa: PLC0415
-
-    found = check_installation(config)
+    found = jobs.doctor.check_installation(config)
     if not print_if_json(found):
         print_table(
             ("package ", "version "),
@@ -61,10 +60,9 @@ def devices_command() -> None:
     --device takes an index or a part of a name.
     """
     from slamfusion.compute import list_devices  # noqa: PLC0415
-    from slamfusion.jobs.doctor import DevicesDocument  # noqa: PLC0415
 
     devices = list_devices()
-    if print_if_json(DevicesDocument(devices)):
+    if print_if_json(jobs.doctor.DevicesDocument(devices)):
         return
     print_devices(devices)
     print("numpy: always there (--device numpy), without OpenCL and slower")

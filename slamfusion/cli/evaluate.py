@@ -8,14 +8,15 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from slamfusion import jobs
 from slamfusion.cli import options, output, results, tables
 from slamfusion.cli.help import Command
 from slamfusion.cli.paths import CASE_MAP, case_folders
 from slamfusion.config import RunConfig
 from slamfusion.jobs.cases import CaseFile, case_names, place_files
-from slamfusion.jobs.documents import number
 from slamfusion.jobs.inputs import PixelSizes, device_for, distinct_names, load_maps, map_file
 from slamfusion.jobs.outputs import PAGE
+from slamfusion.jobs.records import Settings, number
 
 if TYPE_CHECKING:
     from slamfusion.evaluation.distances import DistanceComparison
@@ -24,14 +25,14 @@ if TYPE_CHECKING:
 
 def _image_files(image: Path, given: Mapping[str, Any]) -> list[Path]:
     """Return the difference images that may be written: of several maps with their names."""
-    from slamfusion.jobs.evaluate import difference_images  # noqa: PLC0415
-
     maps, truths = given["maps"], given["truths"]
     if len(truths) > 1:
         placed = place_files(case_names(truths), maps)
-        return difference_images(image, [f"{item.case}_{item.name}" for item in placed])
+        return jobs.evaluate.difference_images(
+            image, [f"{item.case}_{item.name}" for item in placed]
+        )
     names = distinct_names([map_file(item.path) for item in maps])
-    return [image] if len(maps) == 1 else difference_images(image, names)
+    return [image] if len(maps) == 1 else jobs.evaluate.difference_images(image, names)
 
 
 @click.command(
@@ -91,8 +92,6 @@ def command(
     folder: graph/office.yaml and office_graph.yaml belong to office.yaml. CASE=MAP overrides that.
     One table then shows all maps and the mean of each method. Each truth gets its own report.
     """
-    from slamfusion.jobs.evaluate import evaluate_cases  # noqa: PLC0415
-
     is_mutual = not truths and distances_path is None
     is_saved = output.settings().results_path is not None
     options.refuse(
@@ -110,7 +109,7 @@ def command(
         _compare(grids, config)
         return
     with output.progress_bar() as progress:
-        found = evaluate_cases(
+        found = jobs.evaluate.evaluate_cases(
             maps, truths, config, distances=distances_path,
             align=align, scale=scale, resolution=resolution, progress=progress, warn=output.notice,
         )  # fmt: skip
@@ -139,15 +138,12 @@ def command(
 
 
 def _compare(grids: Sequence[OccupancyGrid], config: RunConfig) -> None:
-    from slamfusion.jobs.evaluate import EvaluatedMaps, agreement_items, compare_maps  # noqa: PLC0415
-    from slamfusion.jobs.records import Settings  # noqa: PLC0415
-
     device = device_for(config)
     with output.progress_bar() as progress:
-        result = compare_maps(grids, config, device, progress=progress)
+        result = jobs.evaluate.compare_maps(grids, config, device, progress=progress)
     tables.tell_left_out(result)
-    items = agreement_items(result)
-    document = EvaluatedMaps(
+    items = jobs.evaluate.agreement_items(result)
+    document = jobs.evaluate.EvaluatedMaps(
         agreement=items, device=device.name, seed=config.seed, settings=Settings(config)
     )
     if output.print_if_json(document):
@@ -176,11 +172,9 @@ def _compare(grids: Sequence[OccupancyGrid], config: RunConfig) -> None:
 def _inputs(
     maps: Sequence[Path], truths: Mapping[str, Path], distances: Path | None
 ) -> list[tuple[str, str, Path]]:
-    from slamfusion.jobs.results import map_inputs  # noqa: PLC0415
-
-    found = map_inputs("map", "", maps)
+    found = jobs.results.map_inputs("map", "", maps)
     for case, path in truths.items():
-        found += map_inputs("truth", case, [path])
+        found += jobs.results.map_inputs("truth", case, [path])
     return found if distances is None else [*found, ("distances", "", distances)]
 
 

@@ -6,10 +6,11 @@ import functools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import astuple
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
+from slamfusion import experiments
 from slamfusion.cli import options, results
 from slamfusion.cli.help import Group
 from slamfusion.cli.output import notice, print_if_json, print_table, progress_bar
@@ -17,21 +18,14 @@ from slamfusion.cli.paths import CASE_MAP, FILE, InputPath
 from slamfusion.config import PICTURE_FORMS, RunConfig
 from slamfusion.errors import ConfigError, SlamFusionError
 from slamfusion.jobs.cases import CaseFile
-from slamfusion.jobs.inputs import device_for
-
-if TYPE_CHECKING:
-    from slamfusion.experiments.page import Experiment
-    from slamfusion.experiments.runs import Setup
-    from slamfusion.jobs.inputs import LogFiles
+from slamfusion.jobs.inputs import LogFiles, device_for
 
 
 def _files(folder: Path, _: Mapping[str, Any]) -> list[Path]:
     """Return what may be written: the tables, the plot, and what is kept of runs."""
-    from slamfusion.experiments.runs import FOLDER  # noqa: PLC0415  (loads slowly)
-
     stem = click.get_current_context().command.name
     tables = [folder / f"{stem}.{ending}" for ending in ("csv", "md", "png", *PICTURE_FORMS)]
-    return [*tables, *(folder / FOLDER).glob("*")]
+    return [*tables, *(folder / experiments.runs.FOLDER).glob("*")]
 
 
 def _read_of_drive(text: Path, given: Mapping[str, Any]) -> list[Path]:
@@ -40,25 +34,27 @@ def _read_of_drive(text: Path, given: Mapping[str, Any]) -> list[Path]:
 
 
 def _read_of_datasets(folder: Path, _: Mapping[str, Any]) -> list[Path]:
-    from slamfusion.experiments.real_logs import REAL_LOGS  # noqa: PLC0415  (loads slowly)
+    logs = experiments.real_logs.REAL_LOGS.values()
+    return [folder / name for log in logs for name in (log.log, log.reference)]
 
-    return [folder / name for log in REAL_LOGS.values() for name in (log.log, log.reference)]
 
-
-def _experiment(*sections: str) -> Callable[[Callable[..., Experiment]], Callable[..., None]]:
+def _experiment(
+    *sections: str,
+) -> Callable[[Callable[..., experiments.page.Experiment]], Callable[..., None]]:
     """Return what makes a command of a function: options that all have, and the output."""
 
-    def decorate(function: Callable[..., Experiment]) -> Callable[..., None]:
+    def decorate(function: Callable[..., experiments.page.Experiment]) -> Callable[..., None]:
         @functools.wraps(function)
         def run(
             folder: Path, config: RunConfig, scheduler: str | None = None, **given: Any
         ) -> None:
             from slamfusion.compute import NumpyDevice  # noqa: PLC0415  (loads slowly)
-            from slamfusion.experiments.runs import Setup  # noqa: PLC0415
 
             device = device_for(config) if "device" in sections else NumpyDevice()
             with progress_bar() as progress:
-                setup = Setup(config, device, folder, progress, scheduler=scheduler)
+                setup = experiments.runs.Setup(
+                    config, device, folder, progress, scheduler=scheduler
+                )
                 found = function(setup, **given)
             files = found.write(folder, config.report.pictures)
             document = found.document(files, config, device.name)
@@ -91,14 +87,12 @@ def command() -> None:
 
 @command.command("cell-models")
 @_experiment("report")
-def cell_models(_: Setup) -> Experiment:
+def cell_models(_: experiments.runs.Setup) -> experiments.page.Experiment:
     """Compute Table II of [H16], a cell that receives 12 values in two orders.
 
     The exit code is 1 if a value differs from the paper in its three decimals.
     """
-    from slamfusion.experiments.tinyslam import table_two  # noqa: PLC0415
-
-    return table_two()
+    return experiments.tinyslam.table_two()
 
 
 @command.command("occupancy-estimator")
@@ -112,19 +106,18 @@ def cell_models(_: Setup) -> Experiment:
 )
 @options.file("--reference", "truth", "FILE", "The best known trajectory of the recorded drive.")
 @_experiment("experiment.occupancy_estimator", "report", "device", "")
-def occupancy_estimator(setup: Setup, log: Path | None, **others: Path | None) -> Experiment:
+def occupancy_estimator(
+    setup: experiments.runs.Setup, log: Path | None, **others: Path | None
+) -> experiments.page.Experiment:
     """Sweep tinySLAM's cell size with both occupancy estimators, Table III of [H16].
 
     Uses simulated office floors, whose truth is known, and a recorded drive with --log.
     """
-    from slamfusion.experiments.tinyslam import sweep_estimators  # noqa: PLC0415
-    from slamfusion.jobs.inputs import LogFiles  # noqa: PLC0415
-
     message = "--relations, --odometry and --reference belong to a recorded drive; give --log"
     options.refuse(log is None and any(path is not None for path in others.values()), message)
     recorded = [] if log is None else [LogFiles(log, **others)]
     _check_drives(setup.config.experiment.occupancy_estimator.floors, recorded)
-    return sweep_estimators(recorded, setup)
+    return experiments.tinyslam.sweep_estimators(recorded, setup)
 
 
 @command.command("cell-models-trajectories")
@@ -137,22 +130,20 @@ def occupancy_estimator(setup: Setup, log: Path | None, **others: Path | None) -
     help="A recorded drive with known motions [K09] and raw odometry. Can be repeated.",
 )
 @_experiment("experiment.cell_models_trajectories", "report", "device", "")
-def cell_models_trajectories(setup: Setup, logs: tuple[Path, ...]) -> Experiment:
+def cell_models_trajectories(
+    setup: experiments.runs.Setup, logs: tuple[Path, ...]
+) -> experiments.page.Experiment:
     """Compare tinySLAM's cell models and gmapping by path errors, Table I of [H16].
 
     Uses simulated office floors, whose truth is known, and the recorded drives of --log.
     """
-    from slamfusion.experiments.tinyslam import compare_models  # noqa: PLC0415
-
     recorded = [_drive_files(text) for text in logs]
     _check_drives(setup.config.experiment.cell_models_trajectories.floors, recorded)
-    return compare_models(recorded, setup)
+    return experiments.tinyslam.compare_models(recorded, setup)
 
 
 def _drive_files(text: Path) -> LogFiles:
     """Return the files of ``LOG:RELATIONS[:ODOMETRY]``."""
-    from slamfusion.jobs.inputs import LogFiles  # noqa: PLC0415
-
     parts = str(text).split(":")
     if len(parts) not in {2, 3} or not all(parts):
         message = f"--log: wanted LOG:RELATIONS or LOG:RELATIONS:ODOMETRY, found '{text}'"
@@ -169,30 +160,26 @@ def _check_drives(floors: int, recorded: Sequence[LogFiles]) -> None:
 @command.command("ground-obstacle")
 @options.scheduler("the drives")
 @_experiment("experiment.ground_obstacle", "report", "device", "")
-def ground_obstacle(setup: Setup) -> Experiment:
+def ground_obstacle(setup: experiments.runs.Setup) -> experiments.page.Experiment:
     """Compare three SLAMs and their fusions, with and without an obstacle on the ground.
 
     Tables I to III of [F16]. Each drive is simulated, mapped by all SLAMs and fused in every way;
     then every two methods are tested. Finished drives stay in DIR/trials.
     """
-    from slamfusion.experiments.trials import compare_with_obstacle  # noqa: PLC0415
-
-    return compare_with_obstacle(setup)
+    return experiments.trials.compare_with_obstacle(setup)
 
 
 @command.command("failures")
 @options.scheduler("the drives")
 @_experiment("experiment.failures", "report", "device", "")
-def failures(setup: Setup) -> Experiment:
+def failures(setup: experiments.runs.Setup) -> experiments.page.Experiment:
     """Compare three SLAMs and their fusions in difficult places and drives.
 
     Courses: corridor loop, glass, people, slip, kidnapping, broken odometry, lost for good, each
     with each laser. Finished drives stay in DIR/trials.
     """
-    from slamfusion.experiments.trials import compare_failures  # noqa: PLC0415
-
     try:
-        return compare_failures(setup)
+        return experiments.trials.compare_failures(setup)
     except ConfigError as error:
         raise click.UsageError(str(error)) from None
 
@@ -211,15 +198,17 @@ def failures(setup: Setup) -> Experiment:
 @options.case("--paths", "paths", "PATH", "The path of such a map, with the same name.")
 @_experiment("report", "device", "")
 def real_logs(
-    setup: Setup, datasets: Path, maps: tuple[CaseFile, ...], paths: tuple[CaseFile, ...]
-) -> Experiment:
+    setup: experiments.runs.Setup,
+    datasets: Path,
+    maps: tuple[CaseFile, ...],
+    paths: tuple[CaseFile, ...],
+) -> experiments.page.Experiment:
     """Compare three SLAMs and their fusions on recorded drives, mit-csail and Intel.
 
     The reference is the map drawn at the best known trajectory. Drives that are not in the folder
     are skipped. Maps of other SLAMs are measured and vote too: intel/karto.yaml and
     intel_karto.yaml are the maps of karto for intel, or intel=MAP.
     """
-    from slamfusion.experiments.real_logs import compare_on_logs, logs_there, other_slams  # noqa: PLC0415
-
-    names = logs_there(datasets, notice)
-    return compare_on_logs(datasets, names, setup, other_slams(names, maps, paths))
+    names = experiments.real_logs.logs_there(datasets, notice)
+    others = experiments.real_logs.other_slams(names, maps, paths)
+    return experiments.real_logs.compare_on_logs(datasets, names, setup, others)

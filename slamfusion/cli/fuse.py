@@ -5,21 +5,21 @@ from __future__ import annotations
 import shlex
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
+from slamfusion import jobs
 from slamfusion.cli import options, output, tables
 from slamfusion.cli.help import Choice, Command, Number
 from slamfusion.cli.paths import MAP, stem_of
 from slamfusion.cli.results import table_option
 from slamfusion.config import RunConfig
 from slamfusion.errors import AlignmentError
+from slamfusion.fleet import executor_for
 from slamfusion.jobs import outputs
 from slamfusion.jobs.inputs import LIKE_PAPER, GivenMaps, PixelSizes, device_for
-
-if TYPE_CHECKING:
-    from slamfusion.jobs.fuse import FusedMaps
+from slamfusion.jobs.records import Circumstances
 
 
 def _files(out: Path, given: Mapping[str, Any]) -> list[Path]:
@@ -97,11 +97,6 @@ def command(
     named and left out; at least two must fit. The fused map covers all maps that fit, in the frame
     of the first of them.
     """
-    from slamfusion.fleet import executor_for  # noqa: PLC0415
-    from slamfusion.jobs.fuse import fuse_maps, save_fused_maps, write_failed_fusion  # noqa: PLC0415
-    from slamfusion.jobs.fuse_documents import FuseDocument  # noqa: PLC0415
-    from slamfusion.jobs.records import Circumstances  # noqa: PLC0415
-
     message = "--scheduler and --processes: give one of them; --scheduler local:N has processes"
     options.refuse(scheduler is not None and processes is not None, message)
     config = options.with_starts(config, starts)
@@ -115,7 +110,7 @@ def command(
             executor_for(scheduler, processes, config.device.device) as executor,
             output.progress_bar() as progress,
         ):
-            fused = fuse_maps(
+            fused = jobs.fuse.fuse_maps(
                 maps, config, device,
                 truth=truth_path, scale=scale, resolution=resolution, store=store,
                 executor=executor, progress=progress, warn=output.notice,
@@ -123,9 +118,10 @@ def command(
     except AlignmentError as error:
         # The report of an earlier fusion stays, as its map does.
         if report_dir is not None:
-            write_failed_fusion(error, config, report_dir, device=device.name)
+            jobs.fuse.write_failed_fusion(error, config, report_dir, device=device.name)
         circumstances = Circumstances(device.name, config)
-        failed = FuseDocument.failed(error, circumstances, GivenMaps.of(maps, resolution))
+        given = GivenMaps.of(maps, resolution)
+        failed = jobs.fuse_documents.FuseDocument.failed(error, circumstances, given)
         if not output.print_if_json(failed) and error.pairs:
             tables.print_pairs(error.pairs, device.name)
         raise
@@ -133,7 +129,7 @@ def command(
     document = (
         fused.document()
         if store
-        else save_fused_maps(fused, stem, report=report_dir, image_format=image_format)
+        else jobs.fuse.save_fused_maps(fused, stem, report=report_dir, image_format=image_format)
     )
     tables.tell_left_out(fused.result)
     for path, own in zip(fused.stores, fused.stems, strict=True):
@@ -145,7 +141,7 @@ def command(
         click.launch(str(report_dir / outputs.PAGE))
 
 
-def _print_result(fused: FusedMaps, stem: Path, report_dir: Path | None) -> None:
+def _print_result(fused: jobs.fuse.FusedMaps, stem: Path, report_dir: Path | None) -> None:
     tables.print_fusion(fused.result, fused.doubled, fused.config.fusion.reference)
     print()
     for path, own in zip(fused.stores, fused.stems, strict=True):

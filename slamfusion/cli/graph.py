@@ -8,12 +8,13 @@ from pathlib import Path
 
 import click
 
+from slamfusion import jobs
 from slamfusion.cli import options
 from slamfusion.cli.help import Group
 from slamfusion.cli.output import notice, print_facts, print_if_json, print_table
 from slamfusion.cli.paths import FILE
 from slamfusion.config import RunConfig
-from slamfusion.jobs.documents import number
+from slamfusion.jobs.records import number
 
 # Outliers that the table names.
 NAMED = 10
@@ -49,16 +50,14 @@ def optimize_command(
     FILE is a g2o or TORO file, plain or gzip. Edges between consecutive vertices are odometry.
     Loop closures that are outliers are ignored.
     """
-    from slamfusion.jobs.graph import optimize_graph, save_optimized_graph  # noqa: PLC0415
-
-    graph = optimize_graph(path, config)
+    graph = jobs.graph.optimize_graph(path, config)
     if graph.skipped_lines:
         kinds = sorted(graph.skipped_lines.items(), key=lambda item: (-item[1], item[0]))
         words = _first_few(f"{count} {kind[:40]}" for kind, count in kinds)
         notice(f"{path}: lines not understood: {words}")
     if not graph.converged:
         notice(f"{path}: not converged; try another --start")
-    graph = save_optimized_graph(graph, out, tum=tum_path)
+    graph = jobs.graph.save_optimized_graph(graph, out, tum=tum_path)
     if print_if_json(graph):
         return
     along = "" if graph.has_poses else " (along the odometry; the file has no vertices)"

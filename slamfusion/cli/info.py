@@ -8,6 +8,7 @@ from typing import Any
 
 import click
 
+from slamfusion import jobs
 from slamfusion.cli import options
 from slamfusion.cli.help import Command
 from slamfusion.cli.output import print_if_json, print_table, progress_bar, say
@@ -31,10 +32,8 @@ def command(path: Path, config: RunConfig) -> None:
     Shows duration, scans, laser, odometry and topics of a log or bag, size and area of a map, and
     the recommendation of a run; then what is odd, and what to do.
     """
-    from slamfusion.jobs.info import describe  # noqa: PLC0415  (loads slowly)
-
     with progress_bar() as progress:
-        found = describe(path, config, progress)
+        found = jobs.info.describe(path, config, progress)
     if print_if_json(found):
         return
     (record,) = (item for item in (found.log, found.map, found.run) if item is not None)

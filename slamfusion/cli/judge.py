@@ -5,24 +5,22 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
+from slamfusion import evaluation, jobs
 from slamfusion.cli import options, output, results
 from slamfusion.cli.help import Command
 from slamfusion.cli.paths import CASE_FILE, case_folders
 from slamfusion.cli.tables import path_table, print_recommendation
 from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
+from slamfusion.io.files import AtomicFiles
 from slamfusion.jobs.cases import CaseFile, case_names, known_files, measured_inputs, place_files
-from slamfusion.jobs.documents import number
 from slamfusion.jobs.inputs import device_for
 from slamfusion.jobs.outputs import PAGE
-
-if TYPE_CHECKING:
-    from slamfusion.evaluation.measured import Row
-    from slamfusion.jobs.judge import JudgedPaths
+from slamfusion.jobs.records import number
 
 
 def _report_folders(folder: Path, given: Mapping[str, Any]) -> list[Path]:
@@ -80,15 +78,6 @@ def command(
     same holds for the files of other options. One table then shows all paths and the mean of each
     method. Each log gets its own report.
     """
-    from slamfusion.io.files import AtomicFiles  # noqa: PLC0415
-    from slamfusion.jobs.judge import (  # noqa: PLC0415
-        JudgeDocument,
-        judge_paths,
-        judgements_document,
-        write_fused_path,
-        write_judgement,
-    )
-
     options.check_odometry(others["odometry"], others["relations"])
     message = "--fused is of one log; with several (--log) call judge for each"
     options.refuse(fused is not None and more_logs, message)
@@ -98,13 +87,13 @@ def command(
     known = known_files(cases, log=named, **others)
     placed = place_files(cases, paths)
     device = device_for(config)
-    found: dict[str, JudgedPaths] = {}
+    found: dict[str, jobs.judge.JudgedPaths] = {}
     several = len(cases) > 1
     with output.progress_bar() if several else contextlib.nullcontext() as progress:
         for (case, files), own_log in zip(known.items(), logs, strict=True):
             if progress is not None:
                 progress("judge", len(found), len(cases))
-            found[case] = judge_paths(
+            found[case] = jobs.judge.judge_paths(
                 own_log.path,
                 {item.name: item.path for item in placed if item.case == case},
                 config,
@@ -118,13 +107,16 @@ def command(
             )
     with AtomicFiles():
         for case, own in found.items():
-            write_fused_path(own)
+            jobs.judge.write_fused_path(own)
             if report_dir is not None:
-                write_judgement(own, report_dir / case if several else report_dir)
+                folder = report_dir / case if several else report_dir
+                jobs.judge.write_judgement(own, folder)
     rows = [row for case, own in found.items() for row in own.rows(case, placed)]
     first = found[cases[0]]
     document = (
-        judgements_document(found, rows) if several else JudgeDocument(first, first.circumstances)
+        jobs.judge.judgements_document(found, rows)
+        if several
+        else jobs.judge.JudgeDocument(first, first.circumstances)
     )
     results.save_results(document, rows, lambda: measured_inputs(placed, known))
     if not output.print_if_json(document):
@@ -138,7 +130,11 @@ def command(
         raise SlamFusionError("; ".join(not_measured))
 
 
-def _print(found: Mapping[str, JudgedPaths], rows: Sequence[Row], reports: Sequence[Path]) -> None:
+def _print(
+    found: Mapping[str, jobs.judge.JudgedPaths],
+    rows: Sequence[evaluation.measured.Row],
+    reports: Sequence[Path],
+) -> None:
     if len(found) > 1:
         results.print_items(rows, "path", ("consistency", "ate_rmse_m", "relations_mean_m"))
         for case, own in found.items():
@@ -149,13 +145,11 @@ def _print(found: Mapping[str, JudgedPaths], rows: Sequence[Row], reports: Seque
     output.print_facts(*(("report", folder / PAGE) for folder in reports))
 
 
-def _print_one(found: JudgedPaths) -> None:
-    from slamfusion.evaluation.measured import errors_m  # noqa: PLC0415
-
+def _print_one(found: jobs.judge.JudgedPaths) -> None:
     answer = found.recommendation
     columns, rows = path_table(answer)
     heads = {"ATE": "ATE rmse [m]", "relations": "relations mean [m]"}
-    for kind, errors in errors_m(found.measured).items():
+    for kind, errors in evaluation.measured.errors_m(found.measured).items():
         if errors:
             ranks = {name: str(rank) for rank, name in enumerate(errors, start=1)}
             columns += [heads[kind], "rank"]

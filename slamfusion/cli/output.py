@@ -17,6 +17,8 @@ from typing import TYPE_CHECKING, Any, TextIO
 
 import click
 
+from slamfusion.json_values import plain
+
 if TYPE_CHECKING:
     from rich.table import Table as RichTable
 
@@ -60,8 +62,6 @@ def settings() -> Settings:
 
 def print_json(document: Any) -> None:
     """Print the run's one JSON document to stdout; NaN and infinity become null."""
-    from slamfusion.json_values import plain  # noqa: PLC0415  (NumPy loads slowly; --help needs none)
-
     print(json.dumps(plain(document), indent=2, allow_nan=False))
     settings().printed = True
 

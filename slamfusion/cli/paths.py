@@ -12,6 +12,7 @@ from typing import Any
 import click
 
 from slamfusion.errors import SlamFusionError
+from slamfusion.io.files import refuse_overwriting
 from slamfusion.jobs.cases import CaseFile, case_names
 from slamfusion.jobs.inputs import check_writable, map_file
 from slamfusion.jobs.outputs import STORE_END
@@ -107,8 +108,6 @@ def check_paths(context: click.Context, given: Mapping[str, Any]) -> None:
                 reads += [(path, file) for file in files]
     if not writes:
         return
-    from slamfusion.io.files import refuse_overwriting  # noqa: PLC0415  (OpenCV, as above)
-
     try:
         refuse_overwriting(reads, writes)
     except SlamFusionError as error:

@@ -10,13 +10,14 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
+from slamfusion import evaluation, jobs
 from slamfusion.cli import options, output
-from slamfusion.jobs.documents import number, spread
+from slamfusion.io.files import AtomicFiles
+from slamfusion.jobs.records import number, spread
+from slamfusion.json_values import plain
 
 if TYPE_CHECKING:
     import pandas as pd
-
-    from slamfusion.evaluation.measured import Row
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -34,17 +35,16 @@ results_option = options.output(
 
 
 def save_results(
-    document: Any, rows: Sequence[Row], inputs: Callable[[], Sequence[tuple[str, str, Path]]]
+    document: Any,
+    rows: Sequence[evaluation.measured.Row],
+    inputs: Callable[[], Sequence[tuple[str, str, Path]]],
 ) -> None:
     """Write what the running command measured, if it was asked for."""
     context, settings = click.get_current_context(), output.settings()
     path = settings.results_path
     if path is None:
         return
-    from slamfusion.jobs.results import write_results_file  # noqa: PLC0415  (loads slowly)
-    from slamfusion.json_values import plain  # noqa: PLC0415
-
-    write_results_file(
+    jobs.results.write_results_file(
         path,
         command=" ".join(context.command_path.split()[1:]),
         arguments=settings.arguments,
@@ -56,13 +56,11 @@ def save_results(
         context.call_on_close(lambda: output.print_facts(("results", path)))  # below the tables
 
 
-def print_items(rows: Sequence[Row], what: str, leading: Sequence[str]) -> None:
+def print_items(rows: Sequence[evaluation.measured.Row], what: str, leading: Sequence[str]) -> None:
     """Print a row of figures for each item, the means, and the leading figures case by case."""
-    from slamfusion.jobs.results import figures_of, means_of, results_table  # noqa: PLC0415
-
-    figures = figures_of(results_table(rows))
-    by_case = means_of(figures, ["case", "method"])
-    means = means_of(by_case, ["method"])
+    figures = jobs.results.figures_of(jobs.results.results_table(rows))
+    by_case = jobs.results.means_of(figures, ["case", "method"])
+    means = jobs.results.means_of(by_case, ["method"])
     cases = by_case.groupby(level="method", sort=False).size()
     means.index = [(f"mean of {cases[method]}", "", method) for method in means.index]
     in_cases = figures.index.unique("case").size
@@ -74,25 +72,21 @@ def print_items(rows: Sequence[Row], what: str, leading: Sequence[str]) -> None:
         output.notice("means are of different cases: not every method has a result in each of them")
 
 
-def print_repetitions(rows: Sequence[Row], what: str) -> None:
+def print_repetitions(rows: Sequence[evaluation.measured.Row], what: str) -> None:
     """Print mean and deviation over the seeds of each method, where there are several."""
     if any(row[1] for row in rows):
-        from slamfusion.jobs.results import figures_of, results_table  # noqa: PLC0415
-
-        found = _repetitions(figures_of(results_table(rows)))
+        found = _repetitions(jobs.results.figures_of(jobs.results.results_table(rows)))
         if len(found[0]):
             _print_figures(found, what, "Mean and sample deviation over the seeds")
 
 
 def _repetitions(figures: pd.DataFrame) -> list[pd.DataFrame]:
     """Return means and deviations over the seeds of each case and method that has several."""
-    from slamfusion.jobs.results import means_of  # noqa: PLC0415  (loads slowly)
-
     keys = ["case", "method"]
     seeds = figures.groupby(level=keys, sort=False).size()
     found = []
     for how in ("mean", "std"):
-        rows = means_of(figures, keys, how)
+        rows = jobs.results.means_of(figures, keys, how)
         rows.index = [
             (case, f"{how} of {seeds[case, method]}", method) for case, method in rows.index
         ]
@@ -102,9 +96,7 @@ def _repetitions(figures: pd.DataFrame) -> list[pd.DataFrame]:
 
 def _print_figures(tables: Sequence[pd.DataFrame], what: str, title: str) -> None:
     """Print the figures of tables by case, seed and method; the seed only if there is one."""
-    from slamfusion.evaluation.measured import figure_of  # noqa: PLC0415  (loads slowly)
-
-    figures = [figure_of(name) for name in tables[0].columns]
+    figures = [evaluation.measured.figure_of(name) for name in tables[0].columns]
     rows = [
         [*key, *(number(value, own.digits) for value, own in zip(values, figures, strict=True))]
         for table in tables
@@ -118,16 +110,13 @@ def _print_figures(tables: Sequence[pd.DataFrame], what: str, title: str) -> Non
 
 def print_by_case(figures: pd.DataFrame, what: str, leading: Sequence[str]) -> None:
     """Print each leading figure, methods by cases, with mean and deviation over seeds and cases."""
-    from slamfusion.evaluation.measured import figure_of  # noqa: PLC0415  (loads slowly)
-    from slamfusion.jobs.results import means_of  # noqa: PLC0415  (loads slowly)
-
     keys = ["method", "case"]
     cases = list(figures.index.unique("case"))
     if len(cases) < 2 and not figures.index.droplevel("seed").has_duplicates:
         return
-    means, deviations = means_of(figures, keys), means_of(figures, keys, "std")
+    means, deviations = (jobs.results.means_of(figures, keys, how) for how in ("mean", "std"))
     for name in (name for name in leading if name in figures):
-        figure = figure_of(name)
+        figure = evaluation.measured.figure_of(name)
         shown = {
             key: spread(means.loc[key, name], deviations.loc[key, name], figure.digits)
             for key in means.index
@@ -186,8 +175,6 @@ def _files(path: Path, _: Mapping[str, Any]) -> list[Path]:
 
 def write_tables(path: Path, tables: list[output.Table]) -> list[Path]:
     """Write all files or none, and return them: of CSV one a table, of the others one in all."""
-    from slamfusion.io import AtomicFiles  # noqa: PLC0415  (OpenCV loads slowly; --help needs none)
-
     form = path.suffix.lower()
     texts = [_text(table, form) for table in tables]
     if form != ".csv" and tables:
@@ -205,11 +192,9 @@ def _text(table: output.Table, form: str) -> str:
     """Return a table in one of ``FORMS``; Markdown and LaTeX have its title."""
     import pandas as pd  # noqa: PLC0415  (an extra)
 
-    from slamfusion.jobs.results import markdown  # noqa: PLC0415  (loads slowly)
-
     heads, rows, title = table.heads, table.cells(), output.one_line(table.title)
     if form == ".md":
-        return (f"## {title}\n\n" if title else "") + markdown(heads, rows)
+        return (f"## {title}\n\n" if title else "") + jobs.results.markdown(heads, rows)
     frame = pd.DataFrame(rows, columns=heads, dtype=object)
     if form == ".csv":
         return str(frame.map(_harmless).to_csv(index=False, lineterminator="\n"))

@@ -7,23 +7,21 @@ import shlex
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
+from slamfusion import evaluation, jobs
 from slamfusion.cli import options, output, results, tables
 from slamfusion.cli.help import Command
 from slamfusion.cli.paths import CASE_FILE, FILE, MAP
 from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
+from slamfusion.fleet import executor_for
 from slamfusion.jobs.cases import case_of
-from slamfusion.jobs.documents import number
 from slamfusion.jobs.inputs import RUN_DEFAULTS
 from slamfusion.jobs.outputs import FAILED, FUSED, PAGE, REPORT, possible_outputs, possible_report
-
-if TYPE_CHECKING:
-    from slamfusion.jobs.run_files import LogRun
-    from slamfusion.jobs.run_many import LogTask, RunOfLog
+from slamfusion.jobs.records import Settings, number
 
 # Columns of the table of SLAMs, and their number without --verbose.
 COLUMNS = (
@@ -67,14 +65,12 @@ class _ManyInputs(Command):
 
 def _files(out: Path, given: Mapping[str, Any]) -> list[Path]:
     """Return what may be written, or removed of an earlier run: of several logs, for each."""
-    from slamfusion.jobs.run_many import log_tasks  # noqa: PLC0415
-
     if out.exists() and not out.is_dir():
         raise click.UsageError(f"-o {out} is not a folder; name one for the maps and the report")
     logs, seeds = given["logs"], given["seeds"]
     runs = [out]
     if len(logs) > 1 or seeds:
-        runs = [task.folder for task in log_tasks(logs, out, seeds)]
+        runs = [task.folder for task in jobs.run_many.log_tasks(logs, out, seeds)]
     return [
         file
         for run in runs
@@ -165,8 +161,6 @@ def command(
     A run that makes a fused map replaces the results of an earlier run in DIR. A run that makes
     none leaves them unchanged and writes to DIR/failed.
     """
-    from slamfusion.jobs.run_many import log_tasks, run_rows  # noqa: PLC0415
-
     # The import takes longer than the look: it is made while the producers are at work.
     if importlib.util.find_spec("matplotlib") is None:
         import slamfusion.report  # noqa: F401, PLC0415  (says what to install)
@@ -178,7 +172,7 @@ def command(
             if len(logs) > 1:
                 _refuse_files_of_one_log(config, asked)
             _run_several(
-                log_tasks(logs, out, seeds, probabilities=probabilities),
+                jobs.run_many.log_tasks(logs, out, seeds, probabilities=probabilities),
                 out,
                 config,
                 scheduler,
@@ -187,16 +181,18 @@ def command(
             return
         message = "--scheduler is for several logs or seeds; the SLAMs of one log run in parallel"
         options.refuse(scheduler is not None, message)
-        from slamfusion.jobs.run import run_log  # noqa: PLC0415  (the SLAMs load slowly)
-        from slamfusion.jobs.run_files import load_report, save_run  # noqa: PLC0415
-
         with output.progress_bar() as progress:
-            run = run_log(
-                logs[0], config, **asked, progress=progress, warn=output.notice, prepare=load_report
+            run = jobs.run.run_log(
+                logs[0],
+                config,
+                **asked,
+                progress=progress,
+                warn=output.notice,
+                prepare=jobs.run_files.load_report,
             )
             progress(REPORT, 0, 1)
-            run = save_run(run, out, probabilities=probabilities)
-    rows = run_rows(run, case_of(logs[0])) if output.settings().results_path else []
+            run = jobs.run_files.save_run(run, out, probabilities=probabilities)
+    rows = jobs.run_many.run_rows(run, case_of(logs[0])) if output.settings().results_path else []
     results.save_results(run, rows, lambda: _inputs(logs, asked))
     _print(run)
     if is_opened:
@@ -206,7 +202,7 @@ def command(
         raise SlamFusionError(f"{reason} (the files so far are in {run.folder}{earlier})")
 
 
-def _print(run: LogRun) -> None:
+def _print(run: jobs.run_files.LogRun) -> None:
     """Print the document, or tables; warnings to stderr."""
     settings = output.settings()
     if settings.debug:
@@ -225,7 +221,7 @@ def _print(run: LogRun) -> None:
     output.print_if_json(run)
 
 
-def _print_tables(run: LogRun) -> None:
+def _print_tables(run: jobs.run_files.LogRun) -> None:
     if run.recommendation is not None:
         tables.print_recommendation(run.recommendation)
         print()
@@ -241,10 +237,8 @@ def _print_tables(run: LogRun) -> None:
     )
 
 
-def _print_slams(run: LogRun) -> None:
+def _print_slams(run: jobs.run_files.LogRun) -> None:
     """Print a row for each SLAM, saved path and fused result: its vote, its errors, its effort."""
-    from slamfusion.evaluation.measured import Measures  # noqa: PLC0415  (loads slowly)
-
     errors = {item.name: item for item in run.evaluations}
     measures = {name: own.measures for name, own in run.paths.items()}
     notes = {item.name: f"NO MAP: {item.failed}" for item in run.failed}
@@ -259,7 +253,10 @@ def _print_slams(run: LogRun) -> None:
             measures[FUSED] = run.fused_path.measures
     rows = []
     for name, vote in votes.items():
-        truth, relations = (own := measures.get(name, Measures())).truth, own.relations
+        truth, relations = (
+            (own := measures.get(name, evaluation.measured.Measures())).truth,
+            own.relations,
+        )
         error = errors.get(name)
         row = [
             name,
@@ -284,7 +281,7 @@ def _print_slams(run: LogRun) -> None:
     )
 
 
-def _print_details(run: LogRun) -> None:
+def _print_details(run: jobs.run_files.LogRun) -> None:
     for sentence in run.log_notes():
         output.say(f"the log: {sentence}")
     if run.usable is not None:
@@ -339,27 +336,23 @@ def _inputs(logs: Sequence[Path], asked: Mapping[str, Any]) -> list[tuple[str, s
 
 
 def _run_several(
-    tasks: Sequence[LogTask],
+    tasks: Sequence[jobs.run_many.LogTask],
     out: Path,
     config: RunConfig,
     scheduler: str | None,
     asked: Mapping[str, Any],
 ) -> None:
-    from slamfusion.fleet import executor_for  # noqa: PLC0415
-    from slamfusion.jobs.records import Settings as SettingsUsed  # noqa: PLC0415
-    from slamfusion.jobs.run_many import RunsDocument, run_logs  # noqa: PLC0415
-
     # Workers have another working folder.
     given = {**asked, "saved_maps": tuple(path.absolute() for path in asked["saved_maps"])}
     with (
         executor_for(scheduler, device=config.device.device) as executor,
         output.progress_bar() as progress,
     ):
-        runs = run_logs(tasks, config, given, executor=executor, progress=progress)
+        runs = jobs.run_many.run_logs(tasks, config, given, executor=executor, progress=progress)
     for run in runs:
         for sentence in run.warnings:
             output.notice(f"{run.name}: {sentence}")
-    document = RunsDocument(runs, SettingsUsed(config))
+    document = jobs.run_many.RunsDocument(runs, Settings(config))
     rows = [row for run in runs for row in run.rows]
     logs = list(dict.fromkeys(task.log for task in tasks))
     results.save_results(document, rows, lambda: _inputs(logs, asked))
@@ -379,7 +372,7 @@ def _run_several(
         raise SlamFusionError("; ".join(reasons))
 
 
-def _print_logs(runs: Sequence[RunOfLog], out: Path) -> None:
+def _print_logs(runs: Sequence[jobs.run_many.RunOfLog], out: Path) -> None:
     output.print_table(
         ("log ", "maps fused", "use ", "time [s]", "folder "),
         [

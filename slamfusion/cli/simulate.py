@@ -8,12 +8,13 @@ from typing import Any
 
 import click
 
+from slamfusion import jobs
 from slamfusion.cli import options
 from slamfusion.cli.help import Command
 from slamfusion.cli.output import notice, print_if_json, print_table, progress_bar
 from slamfusion.cli.paths import MAP, InputPath
 from slamfusion.config import COURSES, RunConfig
-from slamfusion.jobs.documents import number
+from slamfusion.jobs.records import number
 
 
 class _Command(Command):
@@ -27,18 +28,16 @@ class _Command(Command):
 
 def _read(path: Path, given: Mapping[str, Any]) -> list[Path]:
     """Return the file of a course, and those of the map that it takes place in."""
-    from slamfusion.jobs.simulate import choose_course  # noqa: PLC0415
-
-    course = choose_course(path, given["config"])
+    course = jobs.simulate.choose_course(path, given["config"])
     world = course.world.map
     return [path, *([] if world is None else MAP.files(Path(world), given))]
 
 
 def _files(folder: Path, given: Mapping[str, Any]) -> list[Path]:
-    from slamfusion.jobs.simulate import choose_course  # noqa: PLC0415
     from slamfusion.sim.simulate import recording_files  # noqa: PLC0415
 
-    return recording_files(choose_course(given["course"], given["config"]), folder)
+    course = jobs.simulate.choose_course(given["course"], given["config"])
+    return recording_files(course, folder)
 
 
 @click.command(
@@ -61,14 +60,13 @@ def command(context: click.Context, course: Path, folder: Path, config: RunConfi
     of walls, which a lidar can see), truth.tum (the true poses) and course.yaml, which reproduces
     these files.
     """
-    from slamfusion.jobs.simulate import choose_course, save_simulated_drive, simulate_course  # noqa: PLC0415
-
     source = context.get_parameter_source("config_seed")
     is_seed_given = source != click.core.ParameterSource.DEFAULT
-    wanted = choose_course(course, config, seed=config.seed if is_seed_given else None)
+    seed = config.seed if is_seed_given else None
+    wanted = jobs.simulate.choose_course(course, config, seed=seed)
     with progress_bar() as progress:
-        drive = simulate_course(wanted, config, progress=progress)
-    made = save_simulated_drive(drive, folder)
+        drive = jobs.simulate.simulate_course(wanted, config, progress=progress)
+    made = jobs.simulate.save_simulated_drive(drive, folder)
     if made.waypoints_left_out:
         notice(f"waypoints left out, which this robot cannot reach: {made.waypoints_left_out}")
     if print_if_json(made):

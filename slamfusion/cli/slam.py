@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
+from slamfusion import evaluation, jobs
 from slamfusion.cli import options, tables
 from slamfusion.cli.help import Command, Number, ProducerGroup
 from slamfusion.cli.output import notice, print_facts, print_if_json, print_table, progress_bar
@@ -16,11 +17,10 @@ from slamfusion.cli.paths import FILE, MAP, stem_of
 from slamfusion.cli.results import print_items, table_option
 from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
+from slamfusion.io.files import open_regular
 from slamfusion.jobs.cases import case_of
 from slamfusion.jobs.outputs import PAGE, SUFFIXES, output_files
-
-if TYPE_CHECKING:
-    from slamfusion.jobs.map_log import MappedLog, ProducerResult
+from slamfusion.json_values import record_keys
 
 
 def _stems(stem: Path, seeds: Sequence[int]) -> dict[int | None, Path]:
@@ -111,16 +111,16 @@ def _run(
     state: Path | None = None,
     **asked: Any,
 ) -> None:
-    from slamfusion.jobs.map_log import map_log, save_mapped_log  # noqa: PLC0415
-
     options.check_odometry(asked["odometry"], asked["relations"])
     if resume is not None:
-        from slamfusion.io.files import open_regular  # noqa: PLC0415  (OpenCV loads slowly)
-
         open_regular(resume, SlamFusionError).close()
     with progress_bar() as progress:
-        mapped = map_log(log, name, config, resume=resume, progress=progress, warn=notice, **asked)
-    saved = save_mapped_log(mapped, stem, probabilities=probabilities, state=state, report=report)
+        mapped = jobs.map_log.map_log(
+            log, name, config, resume=resume, progress=progress, warn=notice, **asked
+        )
+    saved = jobs.map_log.save_mapped_log(
+        mapped, stem, probabilities=probabilities, state=state, report=report
+    )
     if mapped.failure is not None:
         message = f"{mapped.failure} (the map and the path were written all the same)"
         raise SlamFusionError(message) from mapped.failure
@@ -145,26 +145,23 @@ def _run_seeds(
     **asked: Any,
 ) -> None:
     """Run with each seed, write the files of each, and print one table with their means."""
-    from slamfusion.evaluation.measured import map_figures, result_rows  # noqa: PLC0415
-    from slamfusion.jobs.map_log import map_log, save_mapped_log  # noqa: PLC0415
-    from slamfusion.json_values import record_keys  # noqa: PLC0415  (NumPy loads slowly)
-
     message = "--report, --resume and --save-state belong to one run; leave out --seeds"
     for option in ("report", "resume", "state"):
         options.refuse(asked.pop(option, None) is not None, message)
     rows = []
-    saved: list[MappedLog] = []
+    saved: list[jobs.map_log.MappedLog] = []
     with progress_bar() as progress:
         for done, (seed, stem) in enumerate(stems.items()):
             progress("seeds", done, len(stems))
             own = replace(config, seed=seed or 0)
-            mapped = map_log(log, name, own, progress=progress, warn=notice, **asked)
-            saved.append(save_mapped_log(mapped, stem, probabilities=probabilities))
+            mapped = jobs.map_log.map_log(log, name, own, progress=progress, warn=notice, **asked)
+            saved.append(jobs.map_log.save_mapped_log(mapped, stem, probabilities=probabilities))
             result = mapped.result
-            figures = result.measures.figures()
+            figures: dict[str, float | None] = {**result.measures.figures()}
             figures["time_per_scan_ms"] = result.run.time_per_scan_ms.mean
-            errors = {} if result.map_error is None else map_figures(result.map_error)
-            rows += result_rows(case_of(log), str(seed), name, {**figures, **errors})
+            if result.map_error is not None:
+                figures |= evaluation.measured.map_figures(result.map_error)
+            rows += evaluation.measured.result_rows(case_of(log), str(seed), name, figures)
             if mapped.failure is not None:
                 raise SlamFusionError(f"seed {seed}: {mapped.failure}") from mapped.failure
     if not print_if_json({**record_keys(saved[-1]), "producers": [own.result for own in saved]}):
@@ -172,9 +169,7 @@ def _run_seeds(
         print_facts(*((f"seed {seed}", f"{stem}.yaml") for seed, stem in stems.items()))
 
 
-def _print(result: ProducerResult, log: Path) -> None:
-    from slamfusion.jobs.map_log import run_remarks  # noqa: PLC0415
-
+def _print(result: jobs.map_log.ProducerResult, log: Path) -> None:
     run = result.run
     print_table(
         ("what ", "value "),
@@ -182,7 +177,7 @@ def _print(result: ProducerResult, log: Path) -> None:
         title=f"{run.name} on {log}",
         header=False,
     )
-    for where, sentence in run_remarks(run):
+    for where, sentence in jobs.map_log.run_remarks(run):
         print(f"{where}: {sentence}")
     if result.measures.relations is not None or result.measures.truth is not None:
         tables.print_measures(run.trajectory, result.measures)

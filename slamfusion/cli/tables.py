@@ -10,14 +10,13 @@ from typing import TYPE_CHECKING
 
 import click
 
+from slamfusion import evaluation, jobs
 from slamfusion.cli.output import is_verbose, notice, print_table, say, wrapped
-from slamfusion.jobs.documents import number
+from slamfusion.jobs.records import number
 
 if TYPE_CHECKING:
     from slamfusion.align.records import Alignment, Fusion, FusionResult, InputRecord, StoredFusion
-    from slamfusion.evaluation.measured import Figure, Measures
     from slamfusion.evidence.recommendation import Recommendation
-    from slamfusion.jobs.fuse_documents import DoubledWalls, Evaluation
     from slamfusion.trajectory import Trajectory
 
 PAIR_COLUMNS = (
@@ -34,11 +33,11 @@ PAIR_COLUMNS = (
 
 
 def print_fusion(
-    result: FusionResult | StoredFusion, doubled: DoubledWalls | None, wanted: str | None
+    result: FusionResult | StoredFusion,
+    doubled: jobs.fuse_documents.DoubledWalls | None,
+    wanted: str | None,
 ) -> None:
     """Print the pose of each input, their number and the frame; verbose: reasons and starts."""
-    from slamfusion.jobs.fuse_documents import fusion_sentences  # noqa: PLC0415  (loads slowly)
-
     print_table(
         PAIR_COLUMNS[1:],
         [_row(record, result.reference) for record in result.inputs],
@@ -48,7 +47,7 @@ def print_fusion(
         ],
         title=f"Alignment to {result.reference}" + (f", on {result.device}" * is_verbose()),
     )
-    fused, added = fusion_sentences(result, doubled, wanted)
+    fused, added = jobs.fuse_documents.fusion_sentences(result, doubled, wanted)
     say(fused)
     if not is_verbose():
         return
@@ -88,9 +87,7 @@ def _transform_words(pair: Alignment) -> str:
 
 def tell_left_out(result: FusionResult | StoredFusion) -> None:
     """Name on stderr the inputs without a vote, bent ones, and what the map was cut off from."""
-    from slamfusion.jobs.fuse_documents import left_out_sentences  # noqa: PLC0415  (loads slowly)
-
-    for sentence in left_out_sentences(result):
+    for sentence in jobs.fuse_documents.left_out_sentences(result):
         notice(sentence)
 
 
@@ -138,22 +135,20 @@ def _cells(found: Alignment, accepted: str) -> list[str]:
 # --- errors of maps and paths ---------------------------------------------------------------------
 
 
-def tell_unaligned(evaluations: Sequence[Evaluation]) -> None:
+def tell_unaligned(evaluations: Sequence[jobs.fuse_documents.Evaluation]) -> None:
     """Tell why maps could not be aligned with the truth: they may be mirrored, for example."""
-    for evaluation in evaluations:
-        if evaluation.alignment is not None and not evaluation.aligned:
-            notice(f"not aligned: {evaluation.name}: {evaluation.alignment.reason}")
+    for item in evaluations:
+        if item.alignment is not None and not item.aligned:
+            notice(f"not aligned: {item.name}: {item.alignment.reason}")
 
 
-def print_evaluations(evaluations: Sequence[Evaluation]) -> None:
+def print_evaluations(evaluations: Sequence[jobs.fuse_documents.Evaluation]) -> None:
     """Print the errors of each map; ``--verbose`` adds figures that do not reward thick walls."""
-    from slamfusion.evaluation.measured import face_figures, shown_figures  # noqa: PLC0415  (loads slowly)
-
     first = evaluations[0]
     _print_figures(
         ("map ", "aligned "),
         [(item.name, "yes" if item.aligned else "NO") for item in evaluations],
-        list(map(shown_figures, evaluations)),
+        list(map(evaluation.measured.shown_figures, evaluations)),
         f"Errors against {first.truth} (walls within {first.tolerance_m:g} m)",
     )
     for item in evaluations:
@@ -166,7 +161,7 @@ def print_evaluations(evaluations: Sequence[Evaluation]) -> None:
         _print_figures(
             ("map ",),
             [(item.name,) for item in evaluations],
-            list(map(face_figures, evaluations)),
+            list(map(evaluation.measured.face_figures, evaluations)),
             "Faces of walls: wall cells next to free cells, so that thick walls gain nothing",
         )
 
@@ -174,7 +169,7 @@ def print_evaluations(evaluations: Sequence[Evaluation]) -> None:
 def _print_figures(
     heads: Sequence[str],
     names: Sequence[Sequence[str]],
-    figures: Sequence[Sequence[tuple[Figure, float | None]]],
+    figures: Sequence[Sequence[tuple[evaluation.measured.Figure, float | None]]],
     title: str,
 ) -> None:
     columns = (*heads, *(figure.label for figure, _ in figures[0]))
@@ -185,18 +180,17 @@ def _print_figures(
     print_table(columns, rows, title=title)
 
 
-def print_measures(estimate: Trajectory, measures: Measures) -> None:
+def print_measures(estimate: Trajectory, measures: evaluation.measured.Measures) -> None:
     """Print one row for each kind of error, then how it was counted."""
-    from slamfusion.evaluation.measured import FIGURES  # noqa: PLC0415
-
+    figures = evaluation.measured.FIGURES
     rows = [
-        [f"{kind}{which}", *(number(getattr(errors, name, None), digits) for name in FIGURES)]
+        [f"{kind}{which}", *(number(getattr(errors, name, None), digits) for name in figures)]
         for own, which in ((measures, ""), (measures.as_first_reported, ", as first reported"))
         if own is not None
         for kind, errors, digits in own.kinds()
     ]
     title = f"{estimate.name}: {len(estimate)} poses, {estimate.path_length_m():.1f} m"
-    print_table(("error ", *FIGURES), rows, title=title)
+    print_table(("error ", *figures), rows, title=title)
     for note in measures.how_counted():
         say(note)
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import click
 
+from slamfusion import jobs
 from slamfusion.cli import options, results
 from slamfusion.cli.help import Command
 from slamfusion.cli.output import notice, print_facts, print_if_json
@@ -90,12 +91,6 @@ def command(
     that. The same holds for the files of other options. One table and one report then
     show all paths.
     """
-    from slamfusion.jobs.trajectory import (  # noqa: PLC0415
-        measure_trajectories,
-        trajectory_document,
-        write_trajectories,
-    )
-
     paths = [found for item in estimates for found in paths_in(item)]
     relations, truths, odometry = (files[kind] for kind in ("relations", "truth", "odometry"))
     is_one = max(map(len, (paths, truths, relations))) == 1
@@ -108,13 +103,16 @@ def command(
     refuse(map_path and not is_one, "--map is for one path; give one EST")
     cases = shared_case_names(truths, relations)
     known = known_files(cases, **files)
-    found, not_measured = measure_trajectories(place_files(cases, paths), known, config)
+    placed = place_files(cases, paths)
+    found, not_measured = jobs.trajectory.measure_trajectories(placed, known, config)
     if map_path is not None:
         (grid,) = load_maps([map_path], config, warn=notice)
         found = [replace(own, grid=grid) for own in found]
-    page = None if report_dir is None else write_trajectories(found, report_dir, config)
+    page = None
+    if report_dir is not None:
+        page = jobs.trajectory.write_trajectories(found, report_dir, config)
     rows = [row for own in found for row in own.rows()]
-    document = trajectory_document(found, not_measured, config, several=not is_one)
+    document = jobs.trajectory.trajectory_document(found, not_measured, config, several=not is_one)
     inputs = [own.placed for own in found]
     results.save_results(document, rows, lambda: measured_inputs(inputs, known))
     if not print_if_json(document):

@@ -2,3 +2,9 @@
 
 Pure functions on value types.
 """
+
+from __future__ import annotations
+
+from slamfusion.lazy_names import lazy_names
+
+__all__, __getattr__ = lazy_names(__name__, __file__)

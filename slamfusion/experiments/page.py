@@ -18,8 +18,7 @@ from slamfusion.evaluation.statistics import correct_by_holm
 from slamfusion.experiments.runs import Inputs
 from slamfusion.io import AtomicFiles
 from slamfusion.jobs.compare import SIGNIFICANT, Comparison, compare_values
-from slamfusion.jobs.documents import number, p_text, spread
-from slamfusion.jobs.records import Circumstances
+from slamfusion.jobs.records import Circumstances, number, p_text, spread
 from slamfusion.jobs.results import KEYS, markdown, results_table
 from slamfusion.json_values import FLAT
 

@@ -26,8 +26,8 @@ from slamfusion.fleet import as_done, executor_for
 from slamfusion.geometry import I8, Pose2
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import AtomicFiles
-from slamfusion.jobs.documents import record_bytes
 from slamfusion.jobs.inputs import Progress
+from slamfusion.jobs.records import record_bytes
 from slamfusion.jobs.results import input_records
 
 T = TypeVar("T")

@@ -22,8 +22,8 @@ from slamfusion.experiments.runs import Inputs, RunResult, Setup, Tell, run_all
 from slamfusion.io import LogScan, open_log, read_trajectory
 from slamfusion.io.lines import strip_gz
 from slamfusion.jobs.compare import SIGNIFICANT
-from slamfusion.jobs.documents import p_text
 from slamfusion.jobs.inputs import LogFiles, Progress
+from slamfusion.jobs.records import p_text
 from slamfusion.sim import named_course, simulate
 from slamfusion.slam.common.mapper import Mapper
 from slamfusion.slam.common.runner import run_producer

@@ -25,7 +25,6 @@ from slamfusion.grid import OCCUPIED, OccupancyGrid
 from slamfusion.io import AtomicFiles, save_map, write_atomic
 from slamfusion.io.map_store import MapStore, check_store, read_stored_map
 from slamfusion.jobs import outputs
-from slamfusion.jobs.documents import record_bytes
 from slamfusion.jobs.evaluate import evaluate_maps
 from slamfusion.jobs.fuse_documents import (
     DoubledWalls,
@@ -47,7 +46,7 @@ from slamfusion.jobs.inputs import (
     load_truth,
     log_warning,
 )
-from slamfusion.jobs.records import Circumstances
+from slamfusion.jobs.records import Circumstances, record_bytes
 from slamfusion.vote.tiles import TILE
 
 # Arrays of a store: the fused map is called as a run calls it.

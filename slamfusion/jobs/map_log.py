@@ -14,10 +14,9 @@ from slamfusion.errors import MapFileError, SlamFusionError
 from slamfusion.evaluation.measured import GroundTruth, MeasuredPath, Measures
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import AtomicFiles, open_log, save_map, write_atomic, write_tum
-from slamfusion.jobs.documents import number, record_bytes
 from slamfusion.jobs.inputs import LogFiles, Progress, Warn, as_path, load_truth, log_warning
 from slamfusion.jobs.outputs import PROBABILITY, output_files
-from slamfusion.jobs.records import Circumstances
+from slamfusion.jobs.records import Circumstances, number, record_bytes
 from slamfusion.json_values import FLAT
 from slamfusion.palette import colours_of
 from slamfusion.slam.common.mapper import Mapper

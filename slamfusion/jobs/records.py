@@ -1,4 +1,4 @@
-"""Parts of what several commands print with ``--json``, and the JSON Schema of all of it.
+"""Parts of what several commands print with ``--json``, how it is written, and its JSON Schema.
 
 A type ``...Document`` is a whole document, in the module that fills it. It consists of dataclasses
 (see ``slamfusion.json_values``) and types ``...Json`` with more or fewer keys. The text under a key
@@ -8,12 +8,14 @@ is its meaning and unit. ``python -m tests.support.make_schema`` makes ``schema.
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import resources
 from typing import Any, TypedDict
 
 from slamfusion.config import RunConfig
+from slamfusion.json_values import plain
 from slamfusion.version import versions
 
 # --- what many documents share ----------------------------------------------------------------
@@ -88,6 +90,32 @@ class Summaries:
     """The figures of each method over its cases."""
     repetitions: Sequence[RepetitionsJson]
     """The figures of each method over the seeds of one case; empty where none has several."""
+
+
+# --- how values are written ---------------------------------------------------------------------
+
+
+def record_bytes(document: Any) -> bytes:
+    """Return a document as the indented UTF-8 text of a JSON file; NaN and infinity become null."""
+    return (json.dumps(plain(document), indent=2, allow_nan=False) + "\n").encode()
+
+
+def number(value: float | None, digits: int = 3) -> str:
+    """Return a number for a table; a dash where there is none."""
+    if value is None or not math.isfinite(value):
+        return "-"
+    return f"{value:.{digits}f}"
+
+
+def spread(mean: float, deviation: float, digits: int) -> str:
+    """Return a mean with its deviation; without, where there is none."""
+    text = number(deviation, digits)
+    return number(mean, digits) if text == "-" else f"{number(mean, digits)} ± {text}"
+
+
+def p_text(p_value: float | None) -> str:
+    """Return a p-value for a table: three decimals, or ``<0.001``; a dash where there is none."""
+    return "<0.001" if p_value is not None and p_value < 0.001 else number(p_value)
 
 
 # --- the schema -------------------------------------------------------------------------------

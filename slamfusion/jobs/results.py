@@ -25,9 +25,8 @@ from slamfusion.evaluation.measured import Row
 from slamfusion.io import write_atomic
 from slamfusion.io.files import open_regular
 from slamfusion.io.map_server import existing, read_map_yaml
-from slamfusion.jobs.documents import record_bytes
 from slamfusion.jobs.inputs import map_file
-from slamfusion.jobs.records import Summaries
+from slamfusion.jobs.records import Summaries, record_bytes
 from slamfusion.json_values import plain
 from slamfusion.version import __version__, versions
 

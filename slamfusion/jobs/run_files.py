@@ -20,7 +20,6 @@ from slamfusion.grid import OccupancyGrid
 from slamfusion.io import AtomicFiles, read_trajectory, save_map, write_tum
 from slamfusion.jobs import outputs
 from slamfusion.jobs.cases import CaseFile, files_by_case
-from slamfusion.jobs.documents import number, record_bytes
 from slamfusion.jobs.fuse_documents import (
     DoubledWalls,
     Evaluation,
@@ -30,7 +29,7 @@ from slamfusion.jobs.fuse_documents import (
 from slamfusion.jobs.fused_path import FusedPath
 from slamfusion.jobs.inputs import LogFiles, Warn, distinct_names, load_maps
 from slamfusion.jobs.map_log import ProducerResult, write_producer
-from slamfusion.jobs.records import Circumstances
+from slamfusion.jobs.records import Circumstances, number, record_bytes
 from slamfusion.json_values import FLAT
 from slamfusion.slam.registry import producer_names
 from slamfusion.trajectory import Trajectory

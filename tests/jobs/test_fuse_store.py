@@ -21,8 +21,8 @@ from slamfusion.grid import OccupancyGrid
 from slamfusion.io import load_map
 from slamfusion.io.map_store import read_stored_map
 from slamfusion.jobs import fuse
-from slamfusion.jobs.documents import record_bytes
 from slamfusion.jobs.fuse import AllRequiredError, FusedMaps, fuse_maps
+from slamfusion.jobs.records import record_bytes
 from slamfusion.json_values import plain
 from tests.fusion.test_lattice_vote import SIZE, placed
 from tests.support.documents import check_document
