@@ -73,7 +73,7 @@ def command(
             load_truth(path, config, resolution=resolution, scale=its, warn=output.notice)
             for path, its in ((reference, None), (moving, scale))
         )
-        plan = jobs.plan.align_plan(still, moved, config, device, scale=scale)
+        plan = jobs.align.align_plan(still, moved, config, device, scale=scale)
         found, moved = plan.alignment, plan.plan
         if folder is not None and found.accepted:
             plan.save(folder, config.fusion.normalize)

@@ -10,7 +10,6 @@ from slamfusion.jobs import graph as graph
 from slamfusion.jobs import info as info
 from slamfusion.jobs import judge as judge
 from slamfusion.jobs import map_log as map_log
-from slamfusion.jobs import plan as plan
 from slamfusion.jobs import results as results
 from slamfusion.jobs import run as run
 from slamfusion.jobs import run_files as run_files

@@ -22,9 +22,9 @@ from slamfusion.fusion import fuse_grids
 from slamfusion.geometry import Pose2
 from slamfusion.io import AtomicFiles, write_atomic
 from slamfusion.jobs import inputs
+from slamfusion.jobs.align import AlignedPlan, align_plan
 from slamfusion.jobs.cases import CaseFile, Placed, case_names, place_files
 from slamfusion.jobs.fuse_documents import Evaluation, FusedInput
-from slamfusion.jobs.plan import AlignedPlan, align_plan
 from slamfusion.jobs.records import Settings, Summaries
 from slamfusion.json_values import FLAT
 

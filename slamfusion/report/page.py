@@ -26,7 +26,7 @@ from slamfusion.report.canvas import Legend, add_lettering, to_form
 from slamfusion.report.layers import Layers
 from slamfusion.slam.registry import with_producers
 from slamfusion.version import __version__, version_of, versions
-from slamfusion.web.front import bundled, front_end
+from slamfusion.web import bundled, front_end
 
 NO_TABLES = Markup("")
 _STEM = re.compile(r"[^A-Za-z0-9_-]+")

@@ -43,7 +43,7 @@ except ImportError as missing:  # starlette, uvicorn
 
 from slamfusion.config import Checked, from_mapping, option
 from slamfusion.errors import ConfigError, SlamFusionError
-from slamfusion.web.front import front_end
+from slamfusion.web import front_end
 from slamfusion.web.scene import Scene, to_text
 
 # Whether a command was carried out, and what to say.

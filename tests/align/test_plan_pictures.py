@@ -15,8 +15,8 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OCCUPIED, OccupancyGrid
+from slamfusion.jobs.align import align_plan
 from slamfusion.jobs.inputs import load_truth
-from slamfusion.jobs.plan import align_plan
 from tests.fusion.drawings import building
 from tests.support.cuts import along, kept
 

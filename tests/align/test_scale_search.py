@@ -17,9 +17,8 @@ from slamfusion.errors import AlignmentError, ConfigError
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io.map_server import load_map
-from slamfusion.jobs.align import align_maps
+from slamfusion.jobs.align import align_maps, align_plan
 from slamfusion.jobs.fuse import fuse_maps
-from slamfusion.jobs.plan import align_plan
 from tests.fusion.drawings import building
 from tests.support.cuts import along, kept, move_frame
 from tests.support.datasets import ABSENT

@@ -23,7 +23,7 @@ from rich.table import Table
 from slamfusion.compute import open_device
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io.map_server import load_map
-from slamfusion.jobs.plan import align_plan
+from slamfusion.jobs.align import align_plan
 from tests.benchmarks.record import add_record_option, console_for
 from tests.support.halmstad import CELL_M
 from tests.support.plans import maps_of, marked_error_m, places, plan_of

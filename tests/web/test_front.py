@@ -6,13 +6,13 @@ import re
 
 import pytest
 
-from slamfusion.web import front
+from slamfusion import web
 
 pytestmark = pytest.mark.once
 
 
 def test_a_bundle_has_each_module_before_those_that_need_it() -> None:
-    text = front.bundled('import { Stage, byId } from "./stage.js";\nnew Stage();\n')
+    text = web.bundled('import { Stage, byId } from "./stage.js";\nnew Stage();\n')
     order = [text.index(f"\nclass {name} ") for name in ("Maps", "Layers", "View", "Stage")]
     assert order == sorted(order)
     assert text.endswith("\nnew Stage();\n")
@@ -21,18 +21,18 @@ def test_a_bundle_has_each_module_before_those_that_need_it() -> None:
 
 
 def test_modules_of_a_bundle_share_no_name_and_import_no_other() -> None:
-    files = front.front_end()
-    whole = "".join(files[name] for name in front.VIEWER)
+    files = web.front_end()
+    whole = "".join(files[name] for name in web.VIEWER)
     names = re.findall(
         r"^(?:export )?(?:async )?(?:class|const|let|function) (\w+)", whole, re.MULTILINE
     )
     assert len(names) > 20
     assert len(names) == len(set(names))
     imported = set(re.findall(r'^import .* from "\./(.*)";$', whole, re.MULTILINE))
-    assert imported < set(front.VIEWER)
+    assert imported < set(web.VIEWER)
 
 
 def test_fragments_take_their_places() -> None:
-    html = front.front_end()["index.html"]
+    html = web.front_end()["index.html"]
     assert '<canvas id="map"' in html
     assert "<!--" not in html
