@@ -17,6 +17,8 @@ from tests.support.examples import FULL
 from tests.support.searches import CALLERS, RememberedSearches
 
 TESTS = Path(__file__).parent
+# Folders whose tests are all marked ``once``.
+ONCE = (TESTS / "cli", TESTS / "web")
 
 # Examples of each property: in every run, under --full, and where NumPy and OpenCV are looked at
 # alone. A busy machine is no fault of the code.
@@ -106,6 +108,8 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     if config.getoption("--few-each"):
         items[:] = few_of_each(items)
     for item in items:
+        if item.path.parent in ONCE:
+            item.add_marker("once")
         if "full" in item.keywords and not config.getoption("--full"):
             item.add_marker(pytest.mark.skip(reason="long; run with --full"))
         if "datasets" in item.keywords and not datasets.MAPS.is_dir():

@@ -11,8 +11,6 @@ import pytest
 from slamfusion.io.map_server import load_map
 from tests.cli.command import MAPS, SAMPLE, json_of, run, tree
 
-pytestmark = pytest.mark.once
-
 # The true map's picture alone, with twice its cells: they are found to be half as large.
 PLAN = ("--resolution", "0.1", "--scale", "0.04:0.065")
 

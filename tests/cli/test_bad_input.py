@@ -9,8 +9,6 @@ import pytest
 
 from tests.cli.command import MAPS, TRUTH, assert_one_line_failure, run
 
-pytestmark = pytest.mark.once
-
 YAML = """image: map.pgm
 resolution: 0.05
 origin: [0.0, 0.0, 0.0]

@@ -15,7 +15,7 @@ from slamfusion.grid import CellBox, OccupancyGrid
 from slamfusion.io import load_map, save_map
 from tests.cli.command import MAPS, TRUTH, json_of, run, run_here, tree
 
-pytestmark = [pytest.mark.once, pytest.mark.usefixtures("remembered_searches")]
+pytestmark = pytest.mark.usefixtures("remembered_searches")
 
 
 @pytest.fixture(scope="module")

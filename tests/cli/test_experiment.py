@@ -18,8 +18,6 @@ from tests.cli.command import assert_one_line_failure, json_of, run, tree
 from tests.experiments.drives import room, room_files
 from tests.support.documents import check_document
 
-pytestmark = pytest.mark.once
-
 
 @pytest.fixture(scope="module")
 def drive(tmp_path_factory: pytest.TempPathFactory) -> LogFiles:

@@ -11,8 +11,6 @@ from slamfusion.io import write_carmen
 from tests.cli.command import json_of, run
 from tests.support.producers import room_drive
 
-pytestmark = pytest.mark.once
-
 COUNT = 16
 HALF = 9
 # Few particles and short ways: the NumPy twins make a map in a second.

@@ -5,11 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import pytest
 
 from tests.cli.command import json_of, run
-
-pytestmark = pytest.mark.once
 
 SQUARE = """VERTEX_SE2 0 0 0 0
 VERTEX_SE2 1 1.1 0 1.5

@@ -20,8 +20,6 @@ from slamfusion.jobs.inputs import check_writable, distinct_names, load_maps
 from slamfusion.slam.registry import BUILT_IN, producer
 from tests.cli.command import MAPS, ROOT
 
-pytestmark = pytest.mark.once
-
 
 @pytest.mark.parametrize(
     ("paths", "names"),

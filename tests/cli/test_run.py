@@ -15,8 +15,6 @@ from tests.cli.run_folder import MAPS_OF_FUSION, files_of, outputs
 from tests.slam.drives import write_flat
 from tests.support.datasets import ABSENT, DATASETS
 
-pytestmark = pytest.mark.once
-
 TWO = ("--producers", "tinyslam,graph")
 CSAIL = DATASETS / "mit-csail"
 

@@ -19,8 +19,6 @@ from tests.cli.command import INSTALLED, json_of, server, tree, without_progress
 from tests.cli.run_folder import MAPS_OF_FUSION, a_producer_of, files_of, outputs
 from tests.slam.drives import CELL_M, draw_flat, drive
 
-pytestmark = pytest.mark.once
-
 # Of one producer and saved maps; one producer alone has no path to fuse.
 MADE = files_of("graph") | MAPS_OF_FUSION - {"fused.tum"}
 # A test run in the background ignores Ctrl-C, and what it starts would too.

@@ -13,8 +13,6 @@ from slamfusion.jobs.run_many import log_tasks
 from tests.slam.drives import write_flat
 from tests.support.documents import check_document
 
-pytestmark = pytest.mark.once
-
 
 @pytest.fixture
 def place(tmp_path: Path) -> Path:

@@ -24,8 +24,6 @@ from tests.cli.command import MAPS, TRUTH
 from tests.evidence.rooms import bent, circuit, recorded
 from tests.support.documents import check_document
 
-pytestmark = pytest.mark.once
-
 Ask = Callable[..., tuple[int, str, str]]
 
 

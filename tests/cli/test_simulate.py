@@ -9,8 +9,6 @@ import yaml
 
 from tests.cli.command import assert_one_line_failure, json_of, run, tree
 
-pytestmark = pytest.mark.once
-
 
 def test_options_change_the_course(tmp_path: Path) -> None:
     options = ("--lidar", "rplidar", "--no-obstacle", "--people", "1", "--resolution", "0.1")

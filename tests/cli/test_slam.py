@@ -14,8 +14,6 @@ from slamfusion.scan import LaserScan
 from tests.cli.command import assert_one_line_failure, json_of, run, tree
 from tests.support.producers import room_drive
 
-pytestmark = pytest.mark.once
-
 SUFFIXES = (".json", ".pgm", ".tum", ".yaml")
 
 

@@ -10,7 +10,7 @@ import yaml
 from slamfusion.geometry import Pose2
 from tests.cli.command import MAPS, SAMPLE, TRUTH, json_of, run, run_here, tree
 
-pytestmark = [pytest.mark.once, pytest.mark.usefixtures("remembered_searches")]
+pytestmark = pytest.mark.usefixtures("remembered_searches")
 
 POSES = {
     name: Pose2(record["dx_m"], record["dy_m"], record["yaw_rad"])

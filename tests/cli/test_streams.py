@@ -17,8 +17,6 @@ from slamfusion.io import write_carmen
 from tests.cli.command import INSTALLED, MAPS, ROOT, server, without_progress
 from tests.slam.drives import drive
 
-pytestmark = pytest.mark.once
-
 TUM = "1 0 0 0 0 0 0 1\n2 1 0 0 0 0 0 1\n3 2 0 0 0 0 0 1\n"
 G2O = "VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0\nEDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\n"
 SHOWN = "slamfusion: open that address in a browser; Ctrl-C ends it\n"

@@ -5,12 +5,8 @@ from __future__ import annotations
 import csv
 from pathlib import Path
 
-import pytest
-
 from slamfusion.cli.output import Table
 from slamfusion.cli.results import write_tables
-
-pytestmark = pytest.mark.once
 
 TABLE = Table(
     ("map ", "error m", "error m"),

@@ -7,8 +7,6 @@ from rich.cells import cell_len
 
 from slamfusion.cli.output import Table
 
-pytestmark = pytest.mark.once
-
 
 def errors(cells: int) -> Table:
     """Return a table like those of paths: a row for each of three SLAMs, with a reason."""

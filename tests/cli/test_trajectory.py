@@ -9,9 +9,6 @@ import pytest
 
 from tests.cli.command import json_of, run
 
-pytestmark = pytest.mark.once
-
-
 # Four poses along a bend, a second apart; the estimate's last place is 0.2 m off to its left.
 TRUTH = [(0.0, 0.0, 0.0, 0.0), (1.0, 1.0, 0.0, 0.0), (2.0, 2.0, 0.0, 0.0), (3.0, 3.0, 0.0, 0.0)]
 ESTIMATE = [*TRUTH[:3], (3.0, 3.0, 0.2, 0.0)]

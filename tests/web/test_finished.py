@@ -25,8 +25,6 @@ from slamfusion.trajectory import Trajectory
 from tests.report.drawn import fusion, room
 from tests.web.maps import painted, texts, tiles
 
-pytestmark = pytest.mark.once
-
 CELLS = np.full((20, 30), 100, dtype=np.int8)
 
 

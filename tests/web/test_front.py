@@ -4,11 +4,7 @@ from __future__ import annotations
 
 import re
 
-import pytest
-
 from slamfusion import web
-
-pytestmark = pytest.mark.once
 
 
 def test_a_bundle_has_each_module_before_those_that_need_it() -> None:

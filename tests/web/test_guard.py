@@ -9,8 +9,6 @@ import pytest
 
 from slamfusion.web.server import PageMessage, PageMessageError, may_ask, parse_message
 
-pytestmark = pytest.mark.once
-
 HERE, EVERYWHERE = "127.0.0.1", "0.0.0.0"  # noqa: S104 - nothing is bound
 
 

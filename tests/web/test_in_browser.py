@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import pytest
 
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
@@ -13,8 +12,6 @@ from slamfusion.palette import DISAGREEMENT_RGB, FREE_RGB, OTHERS, WALL_RGB
 from slamfusion.web.scene import Scene
 from slamfusion.web.server import PageServer
 from tests.support.browser import becomes, browser_page
-
-pytestmark = pytest.mark.once
 
 TOKEN = "0123456789abcdef01234567"  # noqa: S105 - of this test
 WALL, FREE = (*WALL_RGB, 255), (*FREE_RGB, 255)

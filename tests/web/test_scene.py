@@ -11,8 +11,6 @@ from slamfusion.trajectory import Trajectory
 from slamfusion.web.scene import TILE, Scene, encode_tile
 from tests.web.maps import noise, painted, texts, tiles
 
-pytestmark = pytest.mark.once
-
 
 @pytest.fixture
 def scene() -> Scene:

@@ -23,8 +23,6 @@ from slamfusion.web.scene import Scene
 from slamfusion.web.server import MESSAGE_BYTES, MOST_VIEWERS, PageServer
 from tests.web.maps import noise, painted, texts, tiles
 
-pytestmark = pytest.mark.once
-
 
 @pytest.fixture
 def scene() -> Scene:
