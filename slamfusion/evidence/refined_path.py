@@ -43,7 +43,7 @@ from slamfusion.evidence.displacement import moved_together
 from slamfusion.evidence.known_motions import KnownMotions, MotionEquations
 from slamfusion.evidence.patches import LATTICES, Patches, SurfaceHits, line_inverses, line_sums
 from slamfusion.evidence.path_frames import laid_onto
-from slamfusion.evidence.predictive import SURE, Comparison, PathEvidence, with_path
+from slamfusion.evidence.predictive import SURE, Comparison, PathEvidence, compare_sums, with_path
 from slamfusion.geometry import F64, compose_poses, invert_poses, wrap_angles
 from slamfusion.json_values import FLAT
 from slamfusion.trajectory import Trajectory
@@ -174,7 +174,7 @@ RefinementStart: TypeAlias = Literal["paths", "odometry"]
 _REFINED = "refined"
 # Odometry is a start only if a hit is at most this much less likely by it, log-likelihood.
 NEAR = 0.3
-# Paths with a smaller difference per hit, log-likelihood, are equal.
+# Paths with a smaller difference per hit, log-likelihood, or without a sure one are equal.
 GAIN = 0.01
 # Least gain of a round for another one.
 ROUND_GAIN = 0.02
@@ -215,8 +215,10 @@ def refine_borne_out(
     if by_odometry is not None:
         other, with_other = by_odometry
         apart_m = np.linalg.norm(other.poses[:, :2] - refined.poses[:, :2], axis=1)
-        wanted = FAR_GAIN if np.median(apart_m) > FAR_M else -GAIN
-        if with_other.scores[_REFINED].consistency > both.scores[_REFINED].consistency + wanted:
+        first, second = with_other.scores[_REFINED], both.scores[_REFINED]
+        found = compare_sums(first.sums, second.sums, first.beams, with_other.is_judged)
+        is_equal = found.difference > -GAIN or found.p_value >= SURE
+        if found.difference > FAR_GAIN if np.median(apart_m) > FAR_M else is_equal:
             start, refined, both = "odometry", other, with_other
     found = both.compare(_REFINED, path.name)
     # A p-value of 0.05 would also reject paths that are closer to the truth.
