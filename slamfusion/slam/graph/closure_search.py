@@ -268,8 +268,7 @@ class ClosureSearch:
 
     def unseen_share(self, submap: Submap, points: F64, pose: Pose2) -> float:
         """Return the share of a scan's hits (P, 2) at a pose that a submap has not seen."""
-        walls = self._kept(submap).walls()
-        scan = ScanOnTiles(self._device, walls, points, self._config.matcher.beams)
+        scan = ScanOnTiles(self._device, submap.walls(), points, self._config.matcher.beams)
         return scan.unseen_share(row_of(pose), UNSEEN_WALL)
 
     def _only_place(

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import GraphConfig
-from slamfusion.geometry import B8, F64, Pose2, wrapped_row_of
+from slamfusion.geometry import B8, F64, I64, Pose2, pose_of, wrapped_row_of
 from slamfusion.grid import IDENTITY
 from slamfusion.pose_graph.uncertainty import turned
 from slamfusion.slam.common.matcher import ScanOnTiles, information_of, response_hessian
@@ -21,18 +20,6 @@ from slamfusion.slam.graph.submap import Submap, fill_walls
 
 # Distance between hits that are filled in on a wall, cells: a submap's walls have no gaps.
 WALL_CELLS = 1.0
-# Scans, as far apart as nodes, that are written into a new submap where the robot leaves a known
-# place.
-RECENT_SCANS = 6
-
-
-@dataclass(frozen=True, eq=False)
-class KnownScan:
-    """A scan in a known place: its pose in the active submap, and its row of the driven path."""
-
-    node: Node
-    local: Pose2
-    row: int
 
 
 class LocalMap(Stateful):
@@ -40,31 +27,36 @@ class LocalMap(Stateful):
 
     The robot is followed in the frame of the active submap. In a new place that one grows: half way
     through it the next one starts, and when it is full that one becomes the active one. In a known
-    place it is a finished one, and none grows; the robot leaves it with a new one. Matches place
-    the submaps of one component relative to each other; only odometry places components.
+    place it is drawn from earlier nodes, and none grows. Matches place the submaps of one component
+    relative to each other; only odometry places components.
 
     Attributes:
         components: number of the map component of each submap.
-        finished: number of finished submaps; those after them grow.
-        active: index of the active submap.
+        finished: number of finished submaps; those after them grow, none in a known place.
+        drawn: the map of known places, in the frame of one of its nodes; None before the first.
         node, node_pose: number of the node that the robot's pose is kept relative to, and its pose
             in the active submap's frame.
-        recent: the last scans in a known place.
+        seen_from: pose in it at the last node, or in a known place at the last scan as far on.
     """
 
-    STATE = ("components", "finished", "active", "node", "node_pose", "recent", "_next_pose")
+    STATE = (
+        *("components", "finished", "node", "node_pose", "seen_from"),
+        *("_next_pose", "_drawn_nodes", "_drawn_poses"),
+    )
 
     def __init__(self, config: GraphConfig, device: ComputeDevice) -> None:
         self.submaps: list[Submap] = []
         self.components: list[int] = []
-        self.finished = self.active = self.node = 0
-        self.node_pose = IDENTITY
+        self.finished = self.node = 0
+        self.node_pose = self.seen_from = IDENTITY
+        self.drawn: Submap | None = None
+        # The nodes in it, (K,), its anchor first, and their poses in the map frame, (K, 3).
+        self._drawn_nodes, self._drawn_poses = np.zeros(0, np.int64), np.zeros((0, 3))
         self._config = config
         self._device = device
         # Of the finished submaps: anchors (S,), and corners (S, 2), metres, of the boxes around
         # the robot's places.
         self._boxes = (np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 2)))
-        self.recent: list[KnownScan] = []
         # Pose of the submap that grows next to the active one, in the frame of that.
         self._next_pose = IDENTITY
 
@@ -73,22 +65,24 @@ class LocalMap(Stateful):
     @property
     def active_submap(self) -> Submap:
         """The submap in whose frame the robot is followed."""
-        return self.submaps[self.active]
+        if self.finished < len(self.submaps) or self.drawn is None:
+            return self.submaps[self.finished]
+        return self.drawn
 
     @property
     def active_component(self) -> int:
         """Number of the map component that the robot is in."""
-        return self.components[self.active]
-
-    @property
-    def seen_from(self) -> Pose2:
-        """Pose in the active submap at the last node or known scan."""
-        return self.recent[-1].local if self.recent else self.node_pose
+        return self.components[-1]
 
     @property
     def is_known(self) -> bool:
         """Whether the robot is in a known place, where no submap grows."""
         return self.finished == len(self.submaps)
+
+    @property
+    def settled_nodes(self) -> int | None:
+        """Number of nodes before those of the submaps that grow; None: all."""
+        return None if self.is_known else self.active_submap.anchor
 
     @property
     def component_count(self) -> int:
@@ -97,8 +91,9 @@ class LocalMap(Stateful):
 
     @property
     def memory_bytes(self) -> int:
-        """Bytes of all submaps."""
-        return sum(submap.memory_bytes for submap in self.submaps)
+        """Bytes of all submaps, and of the map of known places."""
+        maps = self.submaps if self.drawn is None else [*self.submaps, self.drawn]
+        return sum(submap.memory_bytes for submap in maps)
 
     def in_other_components(self) -> list[int]:
         """Return the finished submaps of the components that the robot is not in."""
@@ -130,41 +125,55 @@ class LocalMap(Stateful):
     def begin(self, number: int, node: Node, component: int) -> None:
         """Start a submap at a node that no other overlaps; the earlier ones are finished."""
         self._finish()
-        self.active = self.finished
         self._append(number, component).insert(*self._walls_of(node), IDENTITY)
-        self.node, self.node_pose, self.recent = number, IDENTITY, []
+        self._set_node(number, IDENTITY)
 
-    def follow(self, index: int, change: Pose2) -> None:
-        """Follow the robot in a finished submap, and finish the others.
+    def leave(self, number: int, around: I64, nodes: Sequence[Node], poses: F64) -> None:
+        """Start a submap at a node where a known place ends; it shows the nodes around it too."""
+        self.begin(number, nodes[number], self.active_component)
+        self._draw(self.active_submap, around, nodes, poses)
 
-        ``change`` is the pose of the active one in its frame. One with too few scans to be found
-        again is dropped: it overlaps the one before it.
+    def draw(self, numbers: I64, nodes: Sequence[Node], poses: F64) -> Submap:
+        """Draw nodes (K,), the nearest one first, into the map of known places; return that.
+
+        It is drawn anew where nodes in it have moved. Poses of all nodes (N, 3) are in the map
+        frame.
         """
-        self.recent = [replace(one, local=change.compose(one.local)) for one in self.recent]
-        if (
-            not self.is_known
-            and self.submaps[-1].scans < self._config.loop_match_minimum_chain_size
-        ):
+        drawn, own = self.drawn, self._drawn_nodes
+        if drawn is None or not np.array_equal(poses[own], self._drawn_poses):
+            drawn, own = self._make(int(numbers[0])), np.zeros(0, np.int64)
+        fresh = numbers[~np.isin(numbers, own)]
+        self._draw(drawn, fresh, nodes, poses)
+        self.drawn, self._drawn_nodes = drawn, np.concatenate((own, fresh))
+        self._drawn_poses = poses[self._drawn_nodes]
+        if self.is_known:
+            anchor, node = pose_of(poses[drawn.anchor]), pose_of(poses[self.node])
+            self.node_pose = anchor.inverse().compose(node)
+        return drawn
+
+    def follow(self, local: Pose2) -> None:
+        """Follow the robot from a pose in the drawn map on, and finish the submaps that grow.
+
+        One with too few scans to be found again is dropped: it overlaps the one before it.
+        """
+        least = self._config.loop_match_minimum_chain_size
+        if not self.is_known and self.submaps[-1].scans < least:
             del self.submaps[-1], self.components[-1]
         self._finish()
-        self.active, self.node, self.node_pose = index, self.submaps[index].anchor, IDENTITY
-
-    def remember(self, scan: KnownScan) -> None:
-        """Keep a scan in a known place, one of the last few, for when the robot leaves it."""
-        self.recent = [*self.recent[1 - RECENT_SCANS :], scan]
-
-    def leave(self, number: int) -> None:
-        """Start a submap at the last scan in a known place, which is a node now."""
-        *before, last = self.recent
-        self.begin(number, last.node, self.active_component)
-        back = last.local.inverse()
-        for scan in before:
-            self.active_submap.insert(*self._walls_of(scan.node), back.compose(scan.local))
+        anchor = pose_of(self._drawn_poses[0])
+        pose = anchor.compose(local)
+        away_m = np.hypot(*(self._drawn_poses[:, :2] - (pose.x, pose.y)).T)
+        nearest = int(away_m.argmin())
+        to_node = anchor.inverse().compose(pose_of(self._drawn_poses[nearest]))
+        self._set_node(int(self._drawn_nodes[nearest]), to_node)
+        self.seen_from = local
 
     def constraints(
         self, number: int, points: F64, local: Pose2, hessian: F64 | None
     ) -> list[Constraint]:
         """Return the constraints between a node and the anchors of the growing submaps.
+
+        In a known place it is one to the node that the robot's pose is kept relative to.
 
         Hits (P, 2) are in the robot's frame, metres; ``hessian`` is that of the response (3, 3).
         """
@@ -175,12 +184,14 @@ class LocalMap(Stateful):
             scan = ScanOnTiles(self._device, active.walls(), points, beams)
             hessian = response_hessian(scan, row)
         information = INFORMATION_SHARE * information_of(hessian)
-        found = [Constraint(active.anchor, number, row, information)]
+        frames = [(self.node, self.node_pose) if self.is_known else (active.anchor, IDENTITY)]
         if self.finished + 1 < len(self.submaps):
-            between = self._next_pose
-            motion = wrapped_row_of(between.inverse().compose(local))
-            seen = turned(information[None], np.array([-between.yaw_rad]))[0]
-            found.append(Constraint(self.submaps[-1].anchor, number, motion, seen))
+            frames.append((self.submaps[-1].anchor, self._next_pose))
+        found = []
+        for start, frame in frames:
+            motion = wrapped_row_of(frame.inverse().compose(local))
+            seen = turned(information[None], np.array([-frame.yaw_rad]))[0]
+            found.append(Constraint(start, number, motion, seen))
         return found
 
     def insert(self, number: int, node: Node, local: Pose2) -> Pose2:
@@ -192,12 +203,12 @@ class LocalMap(Stateful):
             self.submaps[-1].insert(*walls, inside)
             if active.scans >= self._config.scan_buffer_size:
                 active.finish()
-                self.finished = self.active = len(self.submaps) - 1
+                self.finished += 1
                 local = inside
         elif active.scans >= self._config.scan_buffer_size // 2:
             self._next_pose = local
             self._append(number, self.active_component).insert(*walls, IDENTITY)
-        self.node, self.node_pose = number, local
+        self._set_node(number, local)
         return local
 
     def join(self, other: int, node_count: int) -> tuple[B8, bool]:
@@ -218,26 +229,43 @@ class LocalMap(Stateful):
     def to_state(self) -> dict[str, Any]:
         """Return the state, see ``Stateful``, with the submaps' contents."""
         submaps = [submap.to_state() for submap in self.submaps]
-        return {**super().to_state(), "submaps": submaps}
+        drawn = None if self.drawn is None else self.drawn.to_state()
+        return {**super().to_state(), "submaps": submaps, "drawn": drawn}
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Take over what ``to_state`` returned."""
         for arrays, component in zip(state["submaps"], state["components"], strict=True):
             self._append(0, component).restore(arrays)
+        if state["drawn"] is not None:
+            self.drawn = self._make(0)
+            self.drawn.restore(state["drawn"])
         super().restore(state)
+
+    def _set_node(self, number: int, pose: Pose2) -> None:
+        self.node, self.node_pose, self.seen_from = number, pose, pose
 
     def _finish(self) -> None:
         for submap in self.submaps[self.finished :]:
             submap.finish()
         self.finished = len(self.submaps)
 
-    def _append(self, anchor: int, component: int) -> Submap:
+    def _make(self, anchor: int) -> Submap:
         config = self._config
         sigma_m = config.correlation_search_space_smear_deviation
-        submap = Submap(self._device, anchor, config.resolution, sigma_m)
+        return Submap(self._device, anchor, config.resolution, sigma_m)
+
+    def _append(self, anchor: int, component: int) -> Submap:
+        submap = self._make(anchor)
         self.submaps.append(submap)
         self.components.append(component)
         return submap
+
+    def _draw(self, submap: Submap, numbers: I64, nodes: Sequence[Node], poses: F64) -> None:
+        """Draw nodes (K,) into a submap; the walls of many scans have no gaps to be filled."""
+        to_anchor = pose_of(poses[submap.anchor]).inverse()
+        for number in numbers.tolist():
+            node, place = nodes[number], to_anchor.compose(pose_of(poses[number]))
+            submap.draw(node.points(), node.laser.astype(np.float64), place)
 
     def _walls_of(self, node: Node) -> tuple[F64, F64]:
         """Return a node's walls and laser as a submap takes them."""

@@ -16,7 +16,16 @@ from typing import Literal
 import numpy as np
 
 from slamfusion.config import GraphConfig
-from slamfusion.geometry import F64, Pose2, pose_of, wrap_angle, wrapped_row_of
+from slamfusion.geometry import (
+    F64,
+    I64,
+    Pose2,
+    pose_of,
+    row_of,
+    wrap_angle,
+    wrap_angles,
+    wrapped_row_of,
+)
 from slamfusion.slam.common.state import Stateful
 from slamfusion.slam.graph.closure_search import LOW_RESPONSE, ClosureSearch, Found
 from slamfusion.slam.graph.local_map import LocalMap
@@ -251,14 +260,12 @@ def _covering(submaps: list[int]) -> list[int]:
     ]
 
 
-# A place is known where the robot has been in this number of submaps: some visits make the map
-# good, more would only make it larger.
-KNOWN_SUBMAPS, KNOWN_TRIES = 6, 3
-# Share of a scan's hits that may be unseen in the submap in which the robot is followed there: when
-# it comes into a known place, and until it leaves the submap; and how far the scan may lie there
-# from where graph and odometry expect it, metres and radians.
-ENTER_UNSEEN, LEAVE_UNSEEN = 0.15, 0.3
-KNOWN_M, KNOWN_RAD = 0.4, 0.2
+# A place is known where the robot has been in this number of submaps, and nodes: some visits make
+# the map good, more would only make it larger. Its map is drawn from the nodes around the robot.
+KNOWN_SUBMAPS, KNOWN_NODES = 6, 36
+# Share of a scan's hits that may be unseen there; and where the robot comes into a known place, how
+# far the scan may lie from where graph and odometry expect it, metres and radians.
+KNOWN_UNSEEN, KNOWN_M, KNOWN_RAD = 0.05, 0.4, 0.2
 
 # Why a closure is not accepted yet, in the published words of the health record.
 PENDING = "not confirmed by another"
@@ -324,56 +331,62 @@ class LoopClosure(Stateful):
 
     # -- where to search -----------------------------------------------------------------------
 
-    def is_shown(self, points: F64, local: Pose2) -> bool:
-        """Return whether the active submap shows what a scan sees; see ``known_place``."""
-        active = self._local_map.active_submap
-        return self._search.unseen_share(active, points, local) <= LEAVE_UNSEEN
+    def around(self, pose: Pose2) -> I64:
+        """Return the nodes that are nearest to a pose in the map frame, (K,), the first one first.
 
-    def known_place(self, points: F64, local: Pose2, mean_score: float) -> tuple[int, Pose2] | None:
-        """Return a finished submap that shows what a scan sees, and the active one's pose in it.
+        A turn counts as the distance does after which a scan becomes a node.
+        """
+        config = self._config
+        away = self._graph.poses[: self._local_map.settled_nodes] - row_of(pose)
+        way_m, turn_rad = np.hypot(away[:, 0], away[:, 1]), np.abs(wrap_angles(away[:, 2]))
+        steps = way_m * config.minimum_travel_heading + turn_rad * config.minimum_travel_distance
+        return np.argsort(steps, kind="stable")[:KNOWN_NODES]
 
-        None where the place is not well known: too few submaps are of it, or none shows it.
+    def place(self, points: F64, pose: Pose2) -> Pose2 | None:
+        """Return a pose of the map frame in the map of known places; None if that shows less.
+
+        Hits (P, 2) are in the robot's frame, metres.
+        """
+        graph = self._graph
+        drawn = self._local_map.draw(self.around(pose), graph.nodes, graph.poses)
+        local = graph.pose(drawn.anchor).inverse().compose(pose)
+        return local if self._search.unseen_share(drawn, points, local) <= KNOWN_UNSEEN else None
+
+    def known_place(self, points: F64, local: Pose2, mean_score: float) -> Pose2 | None:
+        """Return the robot's pose in the map of known places where it comes into one.
+
+        None where the place is not well known: too few submaps are of it, or it shows something
+        new.
 
         Args:
             points: (P, 2) hits in the robot's frame, metres.
             local: pose in the active submap's frame.
             mean_score: running mean score of the tracker, 0 to 1.
         """
-        graph, local_map, search = self._graph, self._local_map, self._search
+        graph, local_map = self._graph, self._local_map
         least_scans = self._config.loop_match_minimum_chain_size
         # A robot that is lost, or a path with a gap, still needs nodes with closures.
         is_whole = local_map.component_count == 1 and self._failure_node is None
-        is_short = not local_map.is_known and local_map.active_submap.scans < least_scans
+        is_short = local_map.active_submap.scans < least_scans
         if not (self._config.do_loop_closing and is_whole) or is_short:
             return None
         pose = graph.pose(local_map.active_submap.anchor).compose(local)
         is_near = local_map.distances_m(pose, graph.poses) < INSIDE_M
-        inside = [
-            index
-            for index in np.flatnonzero(is_near).tolist()
-            if local_map.components[index] == local_map.active_component
-            and index != local_map.active
-            and local_map.submaps[index].scans >= least_scans
-        ]
-        if not local_map.is_known and len(inside) < KNOWN_SUBMAPS:
+        if np.count_nonzero(is_near) < KNOWN_SUBMAPS:
             return None
-        shown = []
-        for index in inside:
-            submap = local_map.submaps[index]
-            expected = graph.pose(submap.anchor).inverse().compose(pose)
-            shown.append((search.unseen_share(submap, points, expected), index, expected))
-        most_unseen = LEAVE_UNSEEN if local_map.is_known else ENTER_UNSEEN
-        for unseen, index, expected in sorted(shown, key=lambda one: one[:2])[:KNOWN_TRIES]:
-            if unseen > most_unseen:
-                break
-            row = wrapped_row_of(expected)
-            found = search.near(local_map.submaps[index], points, row, LEAST_DRIFT_M, mean_score)
-            if isinstance(found, Found):
-                there = pose_of(found.pose)
-                if is_same_place(there, expected, KNOWN_M, KNOWN_RAD):
-                    self._linked_m[index] = graph.travelled_m
-                    return index, there.compose(local.inverse())
-        return None
+        expected, drawn = self.place(points, pose), local_map.drawn
+        if expected is None or drawn is None:
+            return None
+        row = wrapped_row_of(expected)
+        found = self._search.near(drawn, points, row, LEAST_DRIFT_M, mean_score)
+        if isinstance(found, str):
+            return None
+        there = pose_of(found.pose)
+        if not is_same_place(there, expected, KNOWN_M, KNOWN_RAD):
+            return None
+        for index in np.flatnonzero(is_near).tolist():
+            self._linked_m[index] = graph.travelled_m
+        return there
 
     def _candidates(self, number: int, pose: Pose2) -> list[LoopCandidate]:
         """Return older submaps that the robot may be in again, the nearest ones."""

@@ -104,13 +104,6 @@ class DrivenPath(Stateful):
         self._scans.append(stamp_s, node, moved.x, moved.y, moved.yaw_rad)
         self._reported.append(pose.x, pose.y, pose.yaw_rad)
 
-    def __len__(self) -> int:
-        return len(self._scans)
-
-    def set_node(self, row: int, number: int) -> None:
-        """Make a scan the one of a node."""
-        self._scans.table[row, 1:] = number, 0.0, 0.0, 0.0
-
     def trajectory(self, poses: F64, name: str) -> Trajectory:
         """Return the path by the nodes' poses (N, 3) in the map frame."""
         scans = self._scans.array()

@@ -14,14 +14,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import cast
 
 import numpy as np
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import GraphConfig
 from slamfusion.errors import SlamFusionError
-from slamfusion.geometry import F64, Pose2, pose_of, wrap_angle
+from slamfusion.geometry import Pose2, pose_of, wrap_angle
 from slamfusion.grid import IDENTITY, OccupancyGrid
 from slamfusion.scan import LaserScan
 from slamfusion.slam.common.mapper import Closure, MapJob, Series, Step
@@ -29,7 +28,7 @@ from slamfusion.slam.common.matcher import PoseHypothesis
 from slamfusion.slam.common.runner import FIRST_REPORTED
 from slamfusion.slam.common.state import SavedMapper
 from slamfusion.slam.graph.closure_search import ClosureSearch
-from slamfusion.slam.graph.local_map import KnownScan, LocalMap
+from slamfusion.slam.graph.local_map import LocalMap
 from slamfusion.slam.graph.localizer import Localizer, Observation
 from slamfusion.slam.graph.loop_closure import LoopClosure, PendingClosure, RelocalizationHypothesis
 from slamfusion.slam.graph.map_graph import (
@@ -45,19 +44,16 @@ from slamfusion.trajectory import Trajectory
 
 # Time without a scan, seconds, above which it counts as a pause: the robot may have been moved.
 PAUSE_S = 60.0
-# A match in a known place below this share of the usual score: the place has changed.
-CHANGED_SHARE = 0.65
 
 
 class GraphSlam(SavedMapper):
     """The graph SLAM behind the ``Mapper`` protocol."""
 
     name = "graph"
-    STATE_FORMAT = 11
+    STATE_FORMAT = 12
     STATE_KINDS = (
         Constraint,
         GraphHealth,
-        KnownScan,
         Node,
         PendingClosure,
         RelocalizationHypothesis,
@@ -110,13 +106,6 @@ class GraphSlam(SavedMapper):
         return step
 
     def _follow(self, seen: Observation, hypotheses: list[PoseHypothesis]) -> Step:
-        # In a known place: does the submap show what the scan sees?
-        expected = pose_of(hypotheses[0].pose)
-        is_known = self._local_map.is_known and not self._localizer.has_jumped
-        if is_known and self._is_far(expected) and not self._loops.is_shown(seen.points, expected):
-            self._change_place(seen.points, expected)
-            hypotheses = self._localizer.hypotheses(seen.scan.stamp_s, seen.odometry)
-
         # Find the scan on the local map. Is the robot still there?
         found = self._localizer.localize(seen, hypotheses)
         self.health.scans_used += 1
@@ -137,14 +126,10 @@ class GraphSlam(SavedMapper):
         if found.status == "unsure" or not self._is_far(local):
             return self._report(seen, local, found.score)
         mean_score = self._localizer.running_mean_score or 0.0
-        if self._local_map.is_known or self._follow_known(seen.points, local):
-            local = cast("Pose2", self._localizer.pose)
-            node = seen.node(self._graph.travelled_m)
-            self._local_map.remember(KnownScan(node, local, len(self._path)))
-            step = self._report(seen, local, found.score)
-            if found.score < CHANGED_SHARE * mean_score:
-                self._change_place(seen.points, local)
-            return step
+        if self._local_map.is_known:
+            return self._follow_known(seen, local, found.score)
+        if (place := self._loops.known_place(seen.points, local, mean_score)) is not None:
+            return self._stay(seen, place, found.score)
 
         # Add the node to the graph, with constraints to the submaps and by odometry.
         moved = self._local_map.node_pose.inverse().compose(local)
@@ -171,31 +156,27 @@ class GraphSlam(SavedMapper):
         way_m = math.hypot(moved.x, moved.y)
         return bool(is_turned or way_m >= self._config.minimum_travel_distance)
 
-    def _follow_known(self, points: F64, local: Pose2) -> bool:
-        """Follow the robot in another finished submap, if the place is well known."""
-        mean_score = self._localizer.running_mean_score or 0.0
-        place = self._loops.known_place(points, local, mean_score)
-        if place is not None:
-            index, change = place
-            self._local_map.follow(index, change)
-            self._localizer.pose = change.compose(cast("Pose2", self._localizer.pose))
-        return place is not None
+    def _stay(self, seen: Observation, place: Pose2, score: float) -> Step:
+        """Follow the robot in the map of known places, from a pose there."""
+        self._local_map.follow(place)
+        self._localizer.pose = place
+        return self._report(seen, place, score)
 
-    def _change_place(self, points: F64, local: Pose2) -> None:
-        """Leave the submap for another known one, or make the last known scan a node of a new one.
-
-        Hits (P, 2) are in the robot's frame, metres; the pose is in the active submap's frame.
-        """
-        if self._follow_known(points, local):
-            return
-        last, anchor = self._local_map.recent[-1], self._local_map.node
-        number = self._graph.add_node(last.node, self._graph.pose(anchor).compose(last.local))
-        self._graph.constraints += self._local_map.constraints(
-            number, last.node.points(), last.local, None
-        )
-        self._path.set_node(last.row, number)
-        self._local_map.leave(number)
-        self._localizer.pose = last.local.inverse().compose(cast("Pose2", self._localizer.pose))
+    def _follow_known(self, seen: Observation, local: Pose2, score: float) -> Step:
+        """Stay in a known place, or where it is not known any more, start a submap around it."""
+        graph, local_map, loops = self._graph, self._local_map, self._loops
+        moved = local_map.node_pose.inverse().compose(local)
+        pose = graph.pose(local_map.node).compose(moved)
+        if (place := loops.place(seen.points, pose)) is not None:
+            return self._stay(seen, place, score)
+        around = loops.around(pose)
+        number = graph.add_node(seen.node(graph.travelled_m), pose)
+        local = local_map.node_pose.compose(moved)  # the map may have been drawn anew
+        graph.constraints += local_map.constraints(number, seen.points, local, None)
+        self._path.responses.append(seen.scan.stamp_s, score)
+        local_map.leave(number, around, graph.nodes, graph.poses)
+        self._localizer.pose = IDENTITY
+        return self._report(seen, IDENTITY, score)
 
     def _report(
         self, seen: Observation, local: Pose2, score: float | None, reason: str = ""

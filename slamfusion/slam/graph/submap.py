@@ -154,6 +154,14 @@ class Submap(Stateful):
         return FieldMap(field, pages, tiles.origin, self._cell, self._window)
 
     def insert(self, points: F64, laser: F64, pose: Pose2) -> None:
+        """Add a scan of the submap's own; see ``draw``."""
+        self.draw(points, laser, pose)
+        place = np.array([pose.x, pose.y])
+        self.low = np.minimum(self.low, place)
+        self.high = np.maximum(self.high, place)
+        self.scans += 1
+
+    def draw(self, points: F64, laser: F64, pose: Pose2) -> None:
         """Update the likelihood field by hits (P, 2), at least one, in metres in the robot's frame.
 
         The laser (2,) is in the robot's frame, the pose in the anchor's.
@@ -168,10 +176,6 @@ class Submap(Stateful):
         beams[:, 0:2] = (hits - tiles.origin) * BEAM_ONE
         beams[:, 2:4] = (start - tiles.origin) * BEAM_ONE
         tiles.write(beams, rule)
-        place = np.array([pose.x, pose.y])
-        self.low = np.minimum(self.low, place)
-        self.high = np.maximum(self.high, place)
-        self.scans += 1
 
     def finish(self) -> None:
         """Free what only a growing submap needs."""
