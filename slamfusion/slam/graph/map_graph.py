@@ -306,8 +306,8 @@ class MapGraph(Stateful):
         """Add the matches of a node, and join it to the previous one by odometry.
 
         ``moved`` is the match's pose in the frame of the previous node. Where it contradicts the
-        odometry, there is no such join, and the matches are as uncertain as they differ: along
-        walls that look alike a match may stay behind.
+        odometry, there is no such join, and the matches are as uncertain as they differ, along the
+        difference: along walls that look alike a match may stay behind.
         """
         node, before = self.nodes[number], self.nodes[number - 1]
         if node.odometry is None or before.odometry is None:
@@ -323,9 +323,11 @@ class MapGraph(Stateful):
             odometry = Constraint(number - 1, number, wrapped_row_of(step), information)
             self.constraints += [*matches, odometry]
             return
-        off_m = math.hypot(away[0], away[1])
+        off = np.array([away[0], away[1], 0.0])
+        if math.hypot(away[0], away[1]) >= MOST_DOUBT_M:
+            off[:] = 0.0
         for one in matches:
-            doubt = np.diag([off_m**2, off_m**2, 0.0]) if off_m < MOST_DOUBT_M else 0.0
+            doubt = turned(np.outer(off, off)[None], one.motion[2:] - away[2:])[0]
             information = np.linalg.inv(np.linalg.inv(one.information) + doubt)
             self.constraints.append(replace(one, information=information))
 

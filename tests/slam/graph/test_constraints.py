@@ -156,6 +156,19 @@ def test_new_closures_that_contradict_are_left_out_until_they_are_too_many(count
     assert off(again.poses, truth) < 1e-6
 
 
+def test_a_match_that_the_odometry_contradicts_is_uncertain_along_the_difference():
+    """By its match the robot has come 1 m, by the odometry 2 m, and has turned to the left."""
+    graph, empty = MapGraph(GraphHealth()), np.zeros((0, 2), dtype=np.float32)
+    left = math.pi / 2.0
+    graph.add_node(Node(empty, empty, 0.0, Pose2()), Pose2())
+    graph.add_node(Node(empty, empty, 1.0, Pose2(2.0, 0.0, left)), Pose2(1.0, 0.0, left))
+    match = Constraint(0, 1, np.array([1.0, 0.0, left]), 1e4 * np.eye(3))
+    graph.add_matches(1, [match], Pose2(1.0, 0.0, left))
+    (found,) = graph.constraints
+    covariance = np.linalg.inv(found.information)
+    np.testing.assert_allclose(covariance, np.diag([1.0001, 1e-4, 1e-4]), atol=1e-9)
+
+
 # -- a solution beside the scans -------------------------------------------------------------------
 
 
