@@ -358,18 +358,18 @@ def estimate_scale(pair: Pair, motion: F64, reading: Reading, others: F64) -> fl
     ``motion`` (3,) may fit a small part only, if a map of another scale fits elsewhere as a whole.
     So the pose with most evidence among ``others`` (K, 3) is scaled too.
     """
-    narrow = pair.widths[0]
-    poses = np.concatenate((motion[None], others))
-    strongest = int(np.argmax(weigh(pair, poses, "changed").total))
-    found = [_scaled(pair, start, reading) for start in poses[np.unique((0, strongest))]]
-    motions, scales, reaches = (np.array(column) for column in zip(*found, strict=True))
-    best = int(np.argmax(weigh(pair, motions, reading, scales).total))
+    starts = motion[None]
+    if len(others):
+        starts = np.concatenate((starts, others))
+        starts = starts[np.unique((0, weigh(pair, starts, "changed").total.argmax()))]
+    found = [_scaled(pair, start, reading) for start in starts]
+    motions, scales = (np.array(column) for column in zip(*found, strict=True))
+    best = 0 if len(found) == 1 else int(weigh(pair, motions, reading, scales).total.argmax())
     scale = float(scales[best])
-    # A scale that moves common walls by less than half their width cannot be distinguished from 1.
-    if abs(scale - 1.0) * reaches[best] < 0.5 * narrow:
+    if scale == 1.0:
         return 1.0
     both = wall_pieces(
-        pair, np.stack((motions[best], motion)), narrow, scales=np.array([scale, 1.0])
+        pair, np.stack((motions[best], motion)), pair.widths[0], scales=np.array([scale, 1.0])
     )
     # A smaller gain of one of several scales is chance.
     pieces = float(both.count(both.weighed[0] - both.weighed[1]))
@@ -377,23 +377,28 @@ def estimate_scale(pair: Pair, motion: F64, reading: Reading, others: F64) -> fl
     return scale if is_better else 1.0
 
 
-def _scaled(pair: Pair, motion: F64, reading: Reading) -> tuple[F64, float, float]:
-    """Return a motion (3,) at its best scale, the scale, and the extent of its common walls."""
+def _scaled(pair: Pair, motion: F64, reading: Reading) -> tuple[F64, float]:
+    """Return a motion (3,) at its best scale, and the scale.
+
+    A scale that moves common walls by less than half their width cannot be distinguished from 1.
+    """
     narrow = pair.widths[0]
     wide = WIDTHS[reading] * narrow
     walls = common_walls(pair, motion, wide)
     if not len(walls):
-        return motion, 1.0, 0.0
+        return motion, 1.0
     middle, reach = walls.mean(axis=0), math.sqrt(float(walls.var(axis=0).sum()))
     # A good map fits as a whole at the right scale; others may fit in part.
     far = 1.0 if reading == "good" else APART_WIDTHS
     steps = np.arange(-far, far + 1.0)
-    scale, at = 1.0, motion
+    scale, at, least = 1.0, motion, 0.5 * narrow / max(reach, 1e-9)
     for offsets, turns, sigma in (
         (COARSE_SCALES, np.zeros(1), wide),
         (FINE_SCALES, SCALE_TURNS, wide),
         (FINE_SCALES, SCALE_TURNS / 6.0, narrow),
     ):
+        if abs(scale - 1.0) + offsets[-1] < least:
+            break
         grid = np.meshgrid(scale + offsets, turns, sigma * steps, sigma * steps, indexing="ij")
         scales, turn, dy, dx = (axis.ravel() for axis in grid)
         cos, sin = np.array((np.cos(turn), np.sin(turn))) * (scales / scale)
@@ -405,4 +410,4 @@ def _scaled(pair: Pair, motion: F64, reading: Reading) -> tuple[F64, float, floa
         found = score_motions(pair, motions, 1, sigma=sigma, points=POINTS, scales=scales)
         best = int(np.argmax(found))
         scale, at = float(scales[best]), motions[best]
-    return at, scale, reach
+    return at, scale if abs(scale - 1.0) >= least else 1.0
