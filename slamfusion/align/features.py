@@ -257,6 +257,7 @@ class GridFeatures:
         height, width = wall.shape
         return Level(step, (height, width), wall, free, distance2, points, seen, self.device)
 
+    @_kept
     def chance(self, step: int, sigma: float) -> float:
         """Return the mean of ``likelihood.likeness`` over the known cells of a level, 0..1.
 

@@ -75,8 +75,8 @@ def evidence_table(chance: float, sigma: float, top: int, doubt: float = 0.0) ->
     """
     expected = HIT * min(1.0, max(CHANCE_MIN, chance)) + STRAY
     most, least = math.log((HIT + STRAY) / expected), math.log(STRAY / expected)
-    evidence = np.log((HIT * likeness(sigma) + STRAY) / expected)
-    evidence = evidence - doubt * (most - evidence)
+    evidence = _log_likely(sigma) - math.log(expected)
+    evidence -= doubt * (most - evidence)
     least -= doubt * (most - least)
     unit = (1.0 + doubt) * math.log((HIT + STRAY) / STRAY) / top
     base = round(-least / unit)
@@ -93,6 +93,12 @@ def likeness(sigma: float) -> F64:
     table = np.exp(-0.5 * d * d)
     table.flags.writeable = False
     return np.asarray(table)
+
+
+@cache
+def _log_likely(sigma: float) -> F64:
+    """Return (4097,) the logarithm of how likely a wall is, by squared distance in cells."""
+    return np.asarray(np.log(HIT * likeness(sigma) + STRAY))
 
 
 def _distances(sigma: float) -> F64:
