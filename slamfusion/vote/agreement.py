@@ -130,14 +130,16 @@ def count_walls(codes: Sequence[U8], shift: int, phase: tuple[int, int] = (0, 0)
     blocks = shape[0] * shape[1]
     tables = np.zeros((4, count, count, blocks), dtype=np.int64)
     for i, own in enumerate(codes):
-        rows, cols = np.nonzero(own & WALL_OCCUPIED)
+        # Of booleans NumPy finds the set ones eight at once.
+        walls = np.flatnonzero((own & WALL_OCCUPIED).view(np.bool_))
+        rows, cols = np.divmod(walls, width)
         block = (rows + phase[0] >> shift) * shape[1] + (cols + phase[1] >> shift)
-        ways = own[rows, cols] >> WALL_SIDES
-        is_face = own[rows, cols] & WALL_FACE != 0
+        ways = own.take(walls) >> WALL_SIDES
+        is_face = own.take(walls) & WALL_FACE != 0
         for j, other in enumerate(codes):
             if i == j:
                 continue
-            there = other[rows, cols]
+            there = other.take(walls)
             is_met = there & WALL_NEAR != 0
             is_free = there & WALL_FREE != 0
             is_moved = ~is_met & (there >> WALL_SIDES & ways != 0) & (is_face | is_free)
