@@ -42,6 +42,9 @@ FINEST_FACTOR = 4
 LEVEL_WORK_MAX = 1e11
 # Motions that descend to the next level, and wall points of each map that score them there.
 DESCENT = ((2304, 256), (384, 768), (96, 1536))
+# Share of the greatest evidence that a motion keeps half a cell and half a step of yaw off: fewer
+# descend than the most if only they have it, down to the number on the next level.
+KEPT_SHARE = 0.3
 # Weight of the unexplained evidence, so that a large common ground that fits badly does not
 # outweigh a small good one; smaller on coarse cells, which blur a good fit.
 DOUBT, COARSE_DOUBT = 1.0, 0.5
@@ -189,6 +192,8 @@ def _descend(pair: Pair, leads: _Leads) -> _Leads:
             break
         # The best, and of the others the best by doubt.
         order = np.argsort(-leads.found, kind="stable")
+        rivals = np.count_nonzero(leads.found >= KEPT_SHARE * leads.found.max())
+        most = min(most, max(rivals, DESCENT[1][0]))
         others = order[most:]
         others = others[np.argsort(-leads.doubted[others], kind="stable")]
         order = np.concatenate((order[:most], others[: most // DOUBTED_SHARE]))
