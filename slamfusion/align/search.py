@@ -187,13 +187,13 @@ def _leads(
 def _descend(pair: Pair, leads: _Leads) -> _Leads:
     """Follow motions down to the last level."""
     target = max(1, round(DESCENT_CELL_M / pair.resolution))
-    for most, points in DESCENT:
+    for limit, points in DESCENT:
         if leads.step <= target:
             break
         # The best, and of the others the best by doubt.
         order = np.argsort(-leads.found, kind="stable")
-        rivals = np.count_nonzero(leads.found >= KEPT_SHARE * leads.found.max())
-        most = min(most, max(rivals, DESCENT[1][0]))
+        strong = int(np.count_nonzero(leads.found >= KEPT_SHARE * leads.found.max()))
+        most = min(limit, max(strong, DESCENT[1][0]))
         others = order[most:]
         others = others[np.argsort(-leads.doubted[others], kind="stable")]
         order = np.concatenate((order[:most], others[: most // DOUBTED_SHARE]))
