@@ -361,7 +361,8 @@ def estimate_scale(pair: Pair, motion: F64, reading: Reading, others: F64) -> fl
     starts = motion[None]
     if len(others):
         starts = np.concatenate((starts, others))
-        starts = starts[np.unique((0, weigh(pair, starts, "changed").total.argmax()))]
+        strongest = int(weigh(pair, starts, "changed").total.argmax())
+        starts = starts[np.unique((0, strongest))]
     found = [_scaled(pair, start, reading) for start in starts]
     motions, scales = (np.array(column) for column in zip(*found, strict=True))
     best = 0 if len(found) == 1 else int(weigh(pair, motions, reading, scales).total.argmax())
