@@ -44,7 +44,7 @@ LEVEL_WORK_MAX = 1e11
 DESCENT = ((2304, 256), (384, 768), (96, 1536))
 # Share of the greatest evidence that a motion keeps half a cell and half a step of yaw off: fewer
 # descend than the most if only they have it, down to the number on the next level.
-KEPT_SHARE = 0.3
+KEPT_SHARE = 0.2
 # Weight of the unexplained evidence, so that a large common ground that fits badly does not
 # outweigh a small good one; smaller on coarse cells, which blur a good fit.
 DOUBT, COARSE_DOUBT = 1.0, 0.5
