@@ -223,13 +223,13 @@ def load_config(path: str | Path, base: RunConfig | None = None) -> RunConfig:
 def open_producer_device(name: str, config: RunConfig) -> ComputeDevice:
     """Return the device for a producer that has a process to itself.
 
-    With a single PoCL thread the kernels run in the calling thread: a second one would make a
-    launch five times as slow.
+    If PoCL would have one or two threads, the kernels run in the calling thread: launches cost a
+    fifth, and two threads that wait for each other are no faster.
     """
     from slamfusion.compute import open_device  # noqa: PLC0415  (loads slowly)
 
     threads = os.environ.get("POCL_MAX_PTHREAD_COUNT") or str(usable_cores())
-    is_small = producer(name).prefers_small_kernels or threads == "1"
+    is_small = producer(name).prefers_small_kernels or threads in {"1", "2"}
     return open_device(config.device.device, small_kernels=is_small)
 
 
