@@ -199,7 +199,9 @@ def test_the_single_thread_device_is_for_small_kernels_only(
 
 
 @needs_wheels
-@pytest.mark.parametrize(("threads", "of_gmapping"), [("3", "pthread"), ("2", "basic"), ("1", "basic")])
+@pytest.mark.parametrize(
+    ("threads", "of_gmapping"), [("3", "pthread"), ("2", "basic"), ("1", "basic")]
+)
 def test_a_small_producer_and_one_of_few_threads_get_the_single_thread_device_of_the_wheel(
     monkeypatch: pytest.MonkeyPatch, threads: str, of_gmapping: str
 ):
