@@ -462,25 +462,32 @@ def _solved(
     return fused.trajectory, with_fused
 
 
-def _contradicted(evidence: PathEvidence) -> list[str]:
-    """Return the inputs of which the scans surely support the fused path more."""
+def _contradicted(evidence: PathEvidence, by: str = FUSED) -> list[str]:
+    """Return the inputs of which the scans surely support another path more."""
     names = []
     for name in evidence.scores:
-        found = None if name == FUSED else evidence.compare(FUSED, name)
+        found = None if name in {FUSED, by} else evidence.compare(by, name)
         if found and found.difference > LEAST_DIFFERENCE and found.p_value < SURE:
             names.append(name)
     return names
 
 
 def _doubts(evidence: PathEvidence, contradicted: Sequence[str]) -> dict[str, str]:
-    """Return bent, contradicted inputs and why; none if all leave the fused path."""
+    """Return bent, contradicted inputs and why.
+
+    If all leave the fused path, none confirms it: those are left of which the scans surely support
+    the best input more.
+    """
     found = {}
     for name in contradicted:
         bent = _bent_at(evidence, name)
         if bent.any():
             since_s = evidence.scans.stamps_s[evidence.is_judged][np.argmax(bent)]
             found[name] = f"the scans contradict its path since stamp {since_s:.1f} s"
-    return found if len(found) < len(evidence.scores) - 1 else {}
+    if not found or len(found) < len(evidence.scores) - 1:
+        return found
+    best = max(found, key=lambda name: evidence.scores[name].consistency)
+    return {name: found[name] for name in _contradicted(evidence, best)}
 
 
 def _bent_at(evidence: PathEvidence, name: str) -> B8:

@@ -47,15 +47,15 @@ class Robot:
     def __init__(self, device: ComputeDevice, *, bent_ones: str = "", names: str = "abc") -> None:
         self.live = LiveDrive(device)
         self.scans, self.truth = drive(SCANS, turn_bias=0.002)
-        self.bent_ones, self.names = bent_ones, names
+        self.names = names
         self.step = 0
-        self.bend = bent
+        self.bends = dict.fromkeys(bent_ones, bent)
         self.noise = np.random.default_rng(7)
 
     def pose_of(self, name: str) -> Pose2:
         pose = self.truth[self.step]
-        if name in self.bent_ones:
-            pose = self.bend(pose, self.step)
+        if name in self.bends:
+            pose = self.bends[name](pose, self.step)
         noise = self.noise.normal(0.0, (0.01, 0.01, 0.003))
         return FRAMES[name].compose(pose).compose(Pose2(*noise.tolist()))
 
@@ -130,19 +130,22 @@ def test_bent_inputs_are_contradicted_and_the_path_is_right(
 def test_an_input_that_bends_slowly_is_contradicted_by_each_kind_of_solution(
     device: ComputeDevice, depth: Depth
 ) -> None:
-    robot = Robot(device, bent_ones="b", names="ab")
-    robot.bend = slowly_bent
+    robot = Robot(device, names="ab")
+    robot.bends = {"b": slowly_bent}
     robot.drive_to(60)
     assert not solved(robot).evidence.doubts
     robot.drive_to(SCANS)
     assert set(solved(robot, depth).evidence.doubts) == {"b"}
 
 
-def test_a_fused_path_that_no_input_confirms_contradicts_none(device: ComputeDevice) -> None:
-    robot = Robot(device, bent_ones="ab", names="ab")
-    robot.bend = slowly_bent
-    robot.drive_to(SCANS)
-    assert not solved(robot).evidence.doubts
+def test_of_inputs_that_all_leave_the_fused_path_the_best_and_its_equals_vote(
+    device: ComputeDevice,
+) -> None:
+    for of_b, doubted in ((slowly_bent, set()), (bent, {"b"})):
+        robot = Robot(device, names="ab")
+        robot.bends = {"a": slowly_bent, "b": of_b}
+        robot.drive_to(SCANS)
+        assert set(solved(robot).evidence.doubts) == doubted
 
 
 def test_the_window_reaches_back_to_what_was_solved(device: ComputeDevice) -> None:
