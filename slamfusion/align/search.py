@@ -42,8 +42,8 @@ FINEST_FACTOR = 4
 LEVEL_WORK_MAX = 1e11
 # Motions that descend to the next level, and wall points of each map that score them there.
 DESCENT = ((2304, 256), (384, 768), (96, 1536))
-# Share of the greatest evidence that a motion keeps half a cell and half a step of yaw off: fewer
-# descend than the most if only they have it, down to the number on the next level.
+# A right motion keeps this share of the greatest evidence half a cell and half a step of yaw off.
+# Motions with less do not descend by evidence, but at least as many do as on the next level.
 KEPT_SHARE = 0.2
 # Weight of the unexplained evidence, so that a large common ground that fits badly does not
 # outweigh a small good one; smaller on coarse cells, which blur a good fit.
@@ -196,7 +196,7 @@ def _descend(pair: Pair, leads: _Leads) -> _Leads:
         most = min(limit, max(strong, DESCENT[1][0]))
         others = order[most:]
         others = others[np.argsort(-leads.doubted[others], kind="stable")]
-        order = np.concatenate((order[:most], others[: most // DOUBTED_SHARE]))
+        order = np.concatenate((order[:most], others[: limit // DOUBTED_SHARE]))
         half = max(target, leads.step // 2)
         shift, turn = leads.step / 2.0, leads.yaw_step / 2.0
         values = score_neighbours(
