@@ -326,7 +326,9 @@ class ClosureSearch:
         return search_window(self._device, pyramid, points[::every], window, cell, least, beside)
 
     def _kept(self, submap: Submap) -> Submap:
-        """Return a submap whose dense copies stay until enough others have been searched."""
+        """Return a submap; finished ones keep dense copies until enough others are searched."""
+        if not submap.is_finished:
+            return submap
         self._recent.pop(submap, None)
         self._recent[submap] = None
         if len(self._recent) > MOST_DENSE:

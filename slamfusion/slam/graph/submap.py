@@ -99,12 +99,12 @@ class Pyramid:
 
 
 class Submap(Stateful):
-    """A map of a few scans in the frame of its anchor node.
+    """A map of scans in the frame of its anchor node.
 
     ``low`` and ``high`` (2,) are the corners of the robot's places in it, metres.
     """
 
-    STATE = ("anchor", "scans", "low", "high", "_is_finished", "_tiles")
+    STATE = ("anchor", "scans", "low", "high", "is_finished", "_tiles")
 
     def __init__(
         self, device: ComputeDevice, anchor: int, resolution: float, sigma_m: float
@@ -131,10 +131,10 @@ class Submap(Stateful):
                 "field": (np.uint8, UNSEEN_WALL),
             },
         )
-        # Dense copies, made when they are asked for; only a finished submap keeps them.
+        # Dense copies, made when they are asked for: the window of a finished submap only.
         self._pyramid: Pyramid | None = None
         self._window: FieldWindow | None = None
-        self._is_finished = False
+        self.is_finished = False
 
     @property
     def memory_bytes(self) -> int:
@@ -148,7 +148,7 @@ class Submap(Stateful):
         """Return it as the matcher sees it; poses are in the anchor's frame."""
         tiles = self._tiles
         field, pages = tiles.pools["field"], tiles.page_tables
-        if self._is_finished and self._window is None:
+        if self.is_finished and self._window is None:
             low, high = tiles.used_box()
             self._window = self._device.field_window(field, pages, low - TILE, high + TILE)
         return FieldMap(field, pages, tiles.origin, self._cell, self._window)
@@ -166,6 +166,7 @@ class Submap(Stateful):
 
         The laser (2,) is in the robot's frame, the pose in the anchor's.
         """
+        self.forget_dense()
         tiles, rule, cell = self._tiles, self._rule, self._cell
         hits = pose.transform(points) / cell
         start = pose.transform(laser) / cell
@@ -179,24 +180,22 @@ class Submap(Stateful):
 
     def finish(self) -> None:
         """Free what only a growing submap needs."""
+        self.forget_dense()
         self._tiles.keep_only("field")
-        self._is_finished = True
+        self.is_finished = True
 
     def forget_dense(self) -> None:
         """Free the dense copies."""
         self._pyramid = self._window = None
 
     def pyramid(self) -> Pyramid:
-        """Return its dense fields; a finished submap keeps them."""
-        if self._pyramid is not None:
-            return self._pyramid
-        values, first = self._tiles.cells("field")
-        field = values.astype(np.uint8)
-        field[field == UNSEEN_WALL] = 0
-        pyramid = Pyramid(self._device, field, first.astype(np.float64))
-        if self._is_finished:
-            self._pyramid = pyramid
-        return pyramid
+        """Return its dense fields, which are kept until the next scan is drawn."""
+        if self._pyramid is None:
+            values, first = self._tiles.cells("field")
+            field = values.astype(np.uint8)
+            field[field == UNSEEN_WALL] = 0
+            self._pyramid = Pyramid(self._device, field, first.astype(np.float64))
+        return self._pyramid
 
 
 def seen_score(score: float, unseen_share: float) -> float:
