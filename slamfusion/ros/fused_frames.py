@@ -121,7 +121,7 @@ class DriveInput:
         if solution is None or not self.live.take(solution):
             return
         self._on_solution(solution)
-        if self._path_topic.get_subscription_count():
+        if self.live.solution is solution and self._path_topic.get_subscription_count():
             stamp = messages.to_stamp(float(solution.path.stamps_s[-1]))
             frame = settings.fused_frame
             self._path_topic.publish(messages.path_to_bytes(solution.path, frame, stamp))

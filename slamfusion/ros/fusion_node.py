@@ -400,6 +400,9 @@ class FusionNode(NodeBase):
 
     def _on_solution(self, solution: DriveSolution) -> None:
         self.fusion.put_evidence(solution.evidence)
+        if self.drive.live.solution is not solution:  # the drive was forgotten meanwhile
+            self.fusion.take_evidence()
+            return
         self._name_conditions(solution.conditions)
         if "new place" in solution.conditions and self.settings.on_new_place == "reset":
             self.ask_reset()
