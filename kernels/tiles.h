@@ -18,8 +18,8 @@ INLINE int tile_cell(__global const int *pages, const int width, const int heigh
   return tile * TILE_CELLS + ((y & TILE_MASK) << TILE_SHIFT) + (x & TILE_MASK);
 }
 
-/* Keep the greater word of a cell; take a cell's word and leave 0; add to a word, and return what it
- * was; and join bits to a word. An atomic waits for its cell and lets nothing pass; on a device of one
+/* Keep the greater word of a cell; take a cell's word and leave 0; and add to a word, and return what
+ * it was. An atomic waits for its cell and lets nothing pass; on a device of one
  * thread `volatile` keeps order enough. */
 #ifdef ONE_THREAD
 INLINE void keep_greater(volatile __global uint *word, const uint other) {
@@ -39,12 +39,10 @@ INLINE uint add_to_word(volatile __global uint *word, const uint more) {
   *word = before + more;
   return before;
 }
-INLINE void join_word(volatile __global uint *word, const uint bits) { *word |= bits; }
 #else
 INLINE void keep_greater(__global uint *word, const uint other) { atomic_max(word, other); }
 INLINE uint take_word(__global uint *word) { return atomic_xchg(word, 0u); }
 INLINE uint add_to_word(__global uint *word, const uint more) { return atomic_add(word, more); }
-INLINE void join_word(__global uint *word, const uint bits) { atomic_or(word, bits); }
 #endif
 
 /* Mark a cell inside the window with a word. If its page has no tile, that is wanted and 1 returned. */

@@ -14,16 +14,18 @@ from slamfusion.compute.hit_counts import BeamScan, FieldRule, halve_counts, per
 from slamfusion.compute.layout import MOST_BEAMS, PAIRS, TILE
 from slamfusion.geometry import (
     F64,
+    I8,
     I32,
     I64,
     U8,
+    U32,
     Pose2,
     compose_poses,
     corners,
     pose_of,
     wrap_angles,
 )
-from slamfusion.grid import OccupancyGrid, row_parts
+from slamfusion.grid import OccupancyGrid
 from slamfusion.scan import LaserScan
 from slamfusion.slam.common.mapper import Series
 from slamfusion.slam.common.matcher import FieldMap, pose_table
@@ -216,11 +218,12 @@ class ParticleMaps(Stateful):
 
     def grid(self, index: int, name: str) -> OccupancyGrid:
         """Return one particle's map as it is published."""
-        counts, first = self.tiles.cells("counts", index)
-        percent = np.empty(counts.shape, dtype=np.int8)
-        for rows in row_parts(counts.shape):
-            hits, visits = counts[rows] >> 16, counts[rows] & 0xFFFF
-            percent[rows] = percent_of_counts(hits, visits, self._config.occ_thresh)
+        share = self._config.occ_thresh
+
+        def published(counts: U32) -> I8:
+            return percent_of_counts(counts >> 16, counts & 0xFFFF, share)
+
+        percent, first = self.tiles.made(published, np.int8, ("counts",), index)
         return known_part(percent, self.anchor, first, self._config.delta, name)
 
     def integrate(self, beams: Beams, poses: F64, alive: I64) -> None:
