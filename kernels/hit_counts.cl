@@ -19,8 +19,8 @@
 #include "walk.h"
 
 #define HIT (1u << HITS_SHIFT)
-/* Cells of a row that a wall reaches, and some more, at once; and columns with room for them around a
- * tile's own and its edge: whole vectors. */
+/* Cells of a row that are updated together for a wall: all that it reaches, rounded up. And the columns
+ * of a tile and its edge, with room for them on both sides, in whole vectors. */
 #define BLOCK 8
 #define COLUMNS ((2 * MOST_REACH + PAIRS + 2 * BLOCK - 1) & -BLOCK)
 /* A squared distance, in (1/256 cell)^2, from which on there is no wall within reach. */
@@ -29,7 +29,7 @@
  * `counts` or `sums` flows over. */
 #define FULL ((uint)FULL_HITS << HITS_SHIFT | FULL_VISITS)
 
-/* What every kernel is told of a scan; work item = map * beams + beam.
+/* Arguments of a scan that all kernels take.
  *
  * ends            float2 per beam, cells, in the robot's frame
  * laser_x, _y     cells, in the robot's frame
@@ -102,7 +102,7 @@ INLINE int steps_inside(const long place, const int reach, const int step) {
   return 1 + way / (step < 0 ? -step : HIGHER(step, 1));
 }
 
-/* Say which pages a scan will come near.
+/* Say which pages a scan will come near; a work item is map * beams + beam.
  *
  * reach    cells
  * touched  uchar, width x height per map, 0 before: becomes 1 where the page holds a corner of the

@@ -89,7 +89,7 @@ __kernel void copy_window(
   for (int i = 0; i < width;) {
     const int x = first_x + i, inside = x & TILE_MASK, run = LOWER(TILE - inside, width - i);
     const int tile_row = own[x >> TILE_SHIFT] * TILE + (y & TILE_MASK);
-    __global const uchar *from = field + (tile_row * across + inside) * step;
+    __global const uchar *from = field + ((size_t)tile_row * across + inside) * step;
     if (run == TILE && step == 1) {
       STORE32(LOAD32(from), line + i);
     } else if (run == TILE && step == 2) {

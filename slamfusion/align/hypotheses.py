@@ -411,4 +411,4 @@ def _scaled(pair: Pair, motion: F64, reading: Reading) -> tuple[F64, float]:
         found = score_motions(pair, motions, 1, sigma=sigma, points=POINTS, scales=scales)
         best = int(np.argmax(found))
         scale, at = float(scales[best]), motions[best]
-    return at, scale if abs(scale - 1.0) >= least else 1.0
+    return (at, scale) if abs(scale - 1.0) >= least else (motion, 1.0)

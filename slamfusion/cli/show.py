@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from slamfusion import experiments
 from slamfusion.cli import options
 from slamfusion.cli.help import Command, Number
 from slamfusion.cli.output import notice, print_if_json
@@ -289,10 +290,9 @@ def _read_maps(folder: Path, files: Mapping[str, Path]) -> Finished:
 
 def _read_drive(folder: Path, drive: str) -> Finished:
     """Read the maps of one drive of an experiment, over the truth."""
-    from slamfusion.experiments.runs import kept_maps, kept_runs  # noqa: PLC0415  (loads slowly)
     from slamfusion.web.scene import TRUTH, unlaid  # noqa: PLC0415
 
-    names = kept_runs(folder)
+    names = experiments.runs.kept_runs(folder)
     if not names:
         raise MapFileError(
             f"{folder}: no map in it (NAME.yaml, or of an experiment trials/NAME.npz); name the "
@@ -302,7 +302,7 @@ def _read_drive(folder: Path, drive: str) -> Finished:
     if chosen not in names:
         listed = ", ".join(names[:MOST_NAMED])
         raise MapFileError(f"{folder}: no drive {drive!r} in it; --drive takes one of {listed}")
-    truth, maps = kept_maps(folder, chosen)
+    truth, maps = experiments.runs.kept_maps(folder, chosen)
     found = _finished(chosen)
     found.also = [name for name in names if name != chosen]
     entries = [unlaid(grid.name, "a true wall that it lacks is shown as unknown") for grid in maps]

@@ -64,7 +64,8 @@ def _family_source(folder: Path, family: str) -> str:
 
 
 # PoCL compiles a kernel for every new work-group size, and chooses slow sizes by itself: one fixed
-# size for each number of dimensions. A group of one dimension is a round of a climb.
+# size for each number of dimensions. A group of one dimension is a round of a climb, or
+# a map's beams: ``count_beams`` relies on it.
 LOCAL_SIZES = {1: (CLIMBERS,), 2: (16, 4), 3: (1, 4, 1)}
 # Tables that are kept, the last ones: alignments make tables of their own for each map.
 MOST_TABLES = 64
@@ -240,7 +241,7 @@ class OpenCLDevice(ComputeDevice):
         return array
 
     def zeros(self, shape: tuple[int, ...], dtype: npt.DTypeLike) -> OpenCLArray[Any]:
-        """Reserve an array of zeros, each page at the first write to it on the host's memory."""
+        """Reserve an array of zeros; in the host's memory a page takes room once it is written."""
         size = math.prod(shape) * np.dtype(dtype).itemsize
         if not (self.shares_memory and size):
             return self.cleared(shape, dtype)

@@ -169,8 +169,8 @@ def moved_together(evidence: PathEvidence, name: str, path: Trajectory) -> tuple
     """Move all scans after some time together to where they fit those before it best.
 
     Returns:
-        ``path``, whose score is that called ``name``, with the time and the motion that gain most;
-        and the gain, the mean log-likelihood of all hits.
+        ``path``, scored in ``evidence`` as ``name``, after the best motion from the best time on;
+        and by how much the mean log-likelihood of a hit rises.
     """
     scans, drawn = evidence.scans, _drawn(evidence, name, WALL_CELLS)
     some = _some_hits(drawn)

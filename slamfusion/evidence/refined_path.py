@@ -174,7 +174,7 @@ RefinementStart: TypeAlias = Literal["paths", "odometry"]
 _REFINED = "refined"
 # Odometry is a start only if a hit is at most this much less likely by it, log-likelihood.
 NEAR = 0.3
-# Paths with a smaller difference per hit, log-likelihood, or without a sure one are equal.
+# Two paths are equal if their difference per hit, log-likelihood, is smaller or not sure.
 GAIN = 0.01
 # Least gain of a round for another one.
 ROUND_GAIN = 0.02
@@ -216,9 +216,11 @@ def refine_borne_out(
         other, with_other = by_odometry
         apart_m = np.linalg.norm(other.poses[:, :2] - refined.poses[:, :2], axis=1)
         first, second = with_other.scores[_REFINED], both.scores[_REFINED]
-        found = compare_sums(first.sums, second.sums, first.beams, with_other.is_judged)
-        is_equal = found.difference > -GAIN or found.p_value >= SURE
-        if found.difference > FAR_GAIN if np.median(apart_m) > FAR_M else is_equal:
+        by_start = compare_sums(first.sums, second.sums, first.beams, with_other.is_judged)
+        is_taken = by_start.difference > -GAIN or by_start.p_value >= SURE
+        if np.median(apart_m) > FAR_M:
+            is_taken = by_start.difference > FAR_GAIN
+        if is_taken:
             start, refined, both = "odometry", other, with_other
     found = both.compare(_REFINED, path.name)
     # A p-value of 0.05 would also reject paths that are closer to the truth.

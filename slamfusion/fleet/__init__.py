@@ -233,8 +233,8 @@ def threads_limited(threads: int) -> Iterator[None]:
     """Let processes that are started in a ``with`` block share the cores.
 
     Args:
-        threads: what the device of each of them may start; BLAS starts none, see
-            ``slamfusion.cli.main``. What the user has set in the environment is left alone.
+        threads: what the device of each of them may start; BLAS gets one. What the user has set
+            in the environment is left alone.
     """
     wanted = dict(zip(THREAD_VARIABLES, (str(threads), "1"), strict=True))
     added = wanted.keys() - os.environ.keys()

@@ -463,7 +463,7 @@ def _solved(
 
 
 def _contradicted(evidence: PathEvidence, by: str = FUSED) -> list[str]:
-    """Return the inputs of which the scans surely support another path more."""
+    """Return the inputs that the scans surely support less than the path ``by``."""
     names = []
     for name in evidence.scores:
         found = None if name in {FUSED, by} else evidence.compare(by, name)
@@ -475,8 +475,8 @@ def _contradicted(evidence: PathEvidence, by: str = FUSED) -> list[str]:
 def _doubts(evidence: PathEvidence, contradicted: Sequence[str]) -> dict[str, str]:
     """Return bent, contradicted inputs and why.
 
-    If all leave the fused path, none confirms it: those are left of which the scans surely support
-    the best input more.
+    If all leave the fused path, none confirms it, and only those are returned that the scans surely
+    support less than the best input.
     """
     found = {}
     for name in contradicted:

@@ -130,7 +130,7 @@ def count_walls(codes: Sequence[U8], shift: int, phase: tuple[int, int] = (0, 0)
     blocks = shape[0] * shape[1]
     tables = np.zeros((4, count, count, blocks), dtype=np.int64)
     for i, own in enumerate(codes):
-        # Of booleans NumPy finds the set ones eight at once.
+        # NumPy searches booleans eight at a time; the view is one because WALL_OCCUPIED is 1.
         walls = np.flatnonzero((own & WALL_OCCUPIED).view(np.bool_))
         rows, cols = np.divmod(walls, width)
         block = (rows + phase[0] >> shift) * shape[1] + (cols + phase[1] >> shift)

@@ -28,7 +28,8 @@ from slamfusion.slam.common.state import check_arrays, check_indices
 # Tiles for which a pool reserves memory at first: a room's, so that a small map is never copied.
 FIRST_ROOM = 64
 # The same of shared maps: hours in a large building, 30 particles. A copy takes longer than many
-# scans, and twice the memory; on a CPU memory that was never written takes no room.
+# scans, and twice the memory; on a CPU memory that was never written takes no room, on a GPU
+# gmapping takes 338 MB at once.
 SHARED_ROOM = 1 << 15
 # Empty pages that the window keeps between its content and its border, so that it seldom moves.
 MARGIN = 2

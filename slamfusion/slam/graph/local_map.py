@@ -1,4 +1,4 @@
-"""``LocalMap``: the submaps, of which the last one or two grow under the robot."""
+"""``LocalMap``: submaps, of which the last one or two grow under the robot, and known places."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ class LocalMap(Stateful):
 
     The robot is followed in the frame of the active submap. In a new place that one grows: half way
     through it the next one starts, and when it is full that one becomes the active one. In a known
-    place it is drawn from earlier nodes, and none grows. Matches place the submaps of one component
-    relative to each other; only odometry places components.
+    place it is ``drawn``, made from earlier nodes, and none grows. Matches place the submaps of one
+    component relative to each other; only odometry places components.
 
     Attributes:
         components: number of the map component of each submap.
@@ -36,7 +36,8 @@ class LocalMap(Stateful):
         drawn: the map of known places, in the frame of one of its nodes; None before the first.
         node, node_pose: number of the node that the robot's pose is kept relative to, and its pose
             in the active submap's frame.
-        seen_from: pose in it at the last node, or in a known place at the last scan as far on.
+        seen_from: pose in that frame at the last node; in a known place, at the last scan that was
+            a node's distance from the one before.
     """
 
     STATE = (
@@ -136,7 +137,7 @@ class LocalMap(Stateful):
     def draw(self, numbers: I64, nodes: Sequence[Node], poses: F64) -> Submap:
         """Draw nodes (K,), the nearest one first, into the map of known places; return that.
 
-        It is drawn anew where nodes in it have moved. Poses of all nodes (N, 3) are in the map
+        It is redrawn if nodes in it have moved. Poses of all nodes (N, 3) are in the map
         frame.
         """
         drawn, own = self.drawn, self._drawn_nodes

@@ -332,9 +332,9 @@ class LoopClosure(Stateful):
     # -- where to search -----------------------------------------------------------------------
 
     def around(self, pose: Pose2) -> I64:
-        """Return the nodes that are nearest to a pose in the map frame, (K,), the first one first.
+        """Return the nodes nearest to a pose in the map frame, (K,), the nearest one first.
 
-        A turn counts as the distance does after which a scan becomes a node.
+        A turn of ``minimum_travel_heading`` counts as much as ``minimum_travel_distance``.
         """
         config = self._config
         away = self._graph.poses[: self._local_map.settled_nodes] - row_of(pose)
@@ -343,9 +343,9 @@ class LoopClosure(Stateful):
         return np.argsort(steps, kind="stable")[:KNOWN_NODES]
 
     def place(self, points: F64, pose: Pose2) -> Pose2 | None:
-        """Return a pose of the map frame in the map of known places; None if that shows less.
+        """Return a pose in the frame of the map of known places; None if that shows too little.
 
-        Hits (P, 2) are in the robot's frame, metres.
+        Hits (P, 2) are in the robot's frame, metres; the pose passed is in the map frame.
         """
         graph = self._graph
         drawn = self._local_map.draw(self.around(pose), graph.nodes, graph.poses)

@@ -306,8 +306,8 @@ class MapGraph(Stateful):
         """Add the matches of a node, and join it to the previous one by odometry.
 
         ``moved`` is the match's pose in the frame of the previous node. Where it contradicts the
-        odometry, there is no such join, and the matches are as uncertain as they differ, along the
-        difference: along walls that look alike a match may stay behind.
+        odometry, there is no such join, and the matches get the difference as a deviation along its
+        direction: along walls that look alike a match may stay behind.
         """
         node, before = self.nodes[number], self.nodes[number - 1]
         if node.odometry is None or before.odometry is None:

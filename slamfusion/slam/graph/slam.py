@@ -163,7 +163,7 @@ class GraphSlam(SavedMapper):
         return self._report(seen, place, score)
 
     def _follow_known(self, seen: Observation, local: Pose2, score: float) -> Step:
-        """Stay in a known place, or where it is not known any more, start a submap around it."""
+        """Stay in the known place; if its map shows too little of the scan, start a submap."""
         graph, local_map, loops = self._graph, self._local_map, self._loops
         moved = local_map.node_pose.inverse().compose(local)
         pose = graph.pose(local_map.node).compose(moved)
@@ -171,7 +171,7 @@ class GraphSlam(SavedMapper):
             return self._stay(seen, place, score)
         around = loops.around(pose)
         number = graph.add_node(seen.node(graph.travelled_m), pose)
-        local = local_map.node_pose.compose(moved)  # the map may have been drawn anew
+        local = local_map.node_pose.compose(moved)  # the map may have been redrawn
         graph.constraints += local_map.constraints(number, seen.points, local, None)
         self._path.responses.append(seen.scan.stamp_s, score)
         local_map.leave(number, around, graph.nodes, graph.poses)

@@ -200,7 +200,7 @@ def test_two_rooms_that_look_the_same_stay_two(
 
 
 def crowded(item: LogScan) -> LogScan:
-    """Return a scan of which people hide nearly half, 0.6 m away."""
+    """Return a scan in which people 0.6 m away hide nearly half of the beams."""
     ranges = item.scan.ranges.copy()
     ranges[: 9 * len(ranges) // 20] = 0.6
     return replace(item, scan=replace(item.scan, ranges=ranges))
@@ -209,7 +209,7 @@ def crowded(item: LogScan) -> LogScan:
 def test_in_a_known_place_the_graph_does_not_grow(device: ComputeDevice):
     """Twice around a ring, the same way back, and again: driving on costs nothing.
 
-    Nor does now and then a crowd.
+    An occasional crowd does not make it grow either.
     """
     log, truth = ring()
     back = [*log[-2::-1], *log[1:], *log[-2::-1]]
