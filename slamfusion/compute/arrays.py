@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import TYPE_CHECKING, Protocol, TypeVar, cast
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -59,6 +59,10 @@ class ArrayDevice(ABC):
     @abstractmethod
     def upload(self, array: npt.NDArray[Scalar]) -> DeviceArray[Scalar]:
         """Bring an array to the device; later changes of ``array`` do not reach it."""
+
+    @abstractmethod
+    def zeros(self, shape: tuple[int, ...], dtype: npt.DTypeLike) -> DeviceArray[Any]:
+        """Return an array of zeros for few writes: on a CPU pages that stay 0 take no memory."""
 
     @abstractmethod
     def download(self, handle: DeviceArray[Scalar]) -> npt.NDArray[Scalar]:

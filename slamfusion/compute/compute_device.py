@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
+import numpy as np
 import numpy.typing as npt
 
 from slamfusion.compute.arrays import DeviceArray, Scalar, host
@@ -69,6 +71,10 @@ class NumpyDevice(ComputeDevice):
     def upload(self, array: npt.NDArray[Scalar]) -> DeviceArray[Scalar]:
         """Return a copy that operations may change in place."""
         return array.copy()
+
+    def zeros(self, shape: tuple[int, ...], dtype: npt.DTypeLike) -> DeviceArray[Any]:
+        """Return zeros; the system gives them memory when they are written."""
+        return np.zeros(shape, dtype)
 
     def download(self, handle: DeviceArray[Scalar]) -> npt.NDArray[Scalar]:
         """Return the array itself."""

@@ -92,10 +92,6 @@ class TileDevice(ArrayDevice):
         longer[: pool.shape[0]] = host(pool)
         return longer
 
-    def zeros(self, shape: tuple[int, ...], dtype: npt.DTypeLike) -> DeviceArray[Any]:
-        """Return an array of zeros for few writes: on a CPU pages that stay 0 take no memory."""
-        return self.opencl.zeros(shape, dtype) if self.opencl else np.zeros(shape, dtype)
-
     def copy_tiles(self, pools: tuple[DeviceArray[Any], ...], pairs: I32) -> None:
         """Copy tiles, in place.
 

@@ -90,7 +90,11 @@ def test_rivals_are_named_with_what_to_do(domain: int, processes: Processes, obs
     makers = Makers(observer)
     start_fusion(processes, publish_tf=True)
     second = start_fusion(processes, "-r", "__node:=second", publish_tf=True)
-    for grid in three().values():
+    grids = iter(three().values())
+    makers.send(next(grids), frame="map")
+    # The first map that comes keeps the frame's name.
+    observer.wait_status(FUSION, "has 1")
+    for grid in grids:
         makers.send(grid, frame="map")
     observer.wait_status(FUSION, "all 3 inputs vote", timeout_s=60.0)
     observer.wait_status(

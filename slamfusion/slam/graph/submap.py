@@ -131,7 +131,7 @@ class Submap(Stateful):
                 "field": (np.uint8, UNSEEN_WALL),
             },
         )
-        # Dense copies, made when they are asked for: the window of a finished submap only.
+        # Dense copies, made when they are asked for; only a finished submap keeps them.
         self._pyramid: Pyramid | None = None
         self._window: FieldWindow | None = None
         self.is_finished = False
@@ -166,7 +166,6 @@ class Submap(Stateful):
 
         The laser (2,) is in the robot's frame, the pose in the anchor's.
         """
-        self.forget_dense()
         tiles, rule, cell = self._tiles, self._rule, self._cell
         hits = pose.transform(points) / cell
         start = pose.transform(laser) / cell
@@ -180,7 +179,6 @@ class Submap(Stateful):
 
     def finish(self) -> None:
         """Free what only a growing submap needs."""
-        self.forget_dense()
         self._tiles.keep_only("field")
         self.is_finished = True
 
@@ -189,13 +187,16 @@ class Submap(Stateful):
         self._pyramid = self._window = None
 
     def pyramid(self) -> Pyramid:
-        """Return its dense fields, which are kept until the next scan is drawn."""
-        if self._pyramid is None:
-            values, first = self._tiles.cells("field")
-            field = values.astype(np.uint8)
-            field[field == UNSEEN_WALL] = 0
-            self._pyramid = Pyramid(self._device, field, first.astype(np.float64))
-        return self._pyramid
+        """Return its dense fields; a finished submap keeps them."""
+        if self._pyramid is not None:
+            return self._pyramid
+        values, first = self._tiles.cells("field")
+        field = values.astype(np.uint8)
+        field[field == UNSEEN_WALL] = 0
+        pyramid = Pyramid(self._device, field, first.astype(np.float64))
+        if self.is_finished:
+            self._pyramid = pyramid
+        return pyramid
 
 
 def seen_score(score: float, unseen_share: float) -> float:
