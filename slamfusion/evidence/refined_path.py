@@ -39,7 +39,7 @@ import numpy as np
 import scipy
 
 from slamfusion.evidence.beams import JudgedScans, cover_stamps
-from slamfusion.evidence.displacement import moved_together
+from slamfusion.evidence.displacement import find_contradiction, moved_together
 from slamfusion.evidence.known_motions import KnownMotions, MotionEquations
 from slamfusion.evidence.patches import LATTICES, Patches, SurfaceHits, line_inverses, line_sums
 from slamfusion.evidence.path_frames import laid_onto
@@ -255,6 +255,9 @@ def _from_odometry(
             break
         again, with_again = _settled(evidence, moved, told)
         if with_again.scores[_REFINED].consistency <= told:
+            break
+        # On another floor no motion makes the parts one place.
+        if find_contradiction(with_again, _REFINED) is not None:
             break
         refined, both = again, with_again
     poses = laid_onto(refined.poses, path.poses)
