@@ -6,9 +6,10 @@ truth than either. So it is the answer unless the scans clearly support a SLAM's
 the best single SLAM is the one closest to it.
 
 A place is one to check if walls there are displaced (``find_displacements``), or if a tied path has
-parted there and neither most of the SLAMs nor the scans of that time support the answer. If walls
-are displaced in a quarter of the drive, or most of what the robot saw was free space at other
-times, the confidence is low.
+parted there and neither most of the SLAMs nor the scans of that time support the answer. So is a
+part of the drive for which a path has no pose, because no path is judged there. If walls are
+displaced in a quarter of the drive, or most of what the robot saw was free space at other times,
+the confidence is low.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from slamfusion.evidence.displacement import CONTRADICTED, contradicted_share, f
 from slamfusion.evidence.parting import PART_M, Span, path_gap_m, path_spans
 from slamfusion.evidence.predictive import BLOCKS, SURE, PathEvidence, compare_sums
 from slamfusion.geometry import fit_motion, moved_poses
-from slamfusion.trajectory import Trajectory, nearest_stamps
+from slamfusion.trajectory import Trajectory, flag_runs, nearest_stamps
 
 # The most places to check.
 MOST_CHECKS = 3
@@ -252,6 +253,14 @@ def _checks(
         farthest = int(np.argmax(path_gap_m(evidence, rival, path) * here))
         what = f"{rival} is {span.gap_m:.1f} m from {path}, and no scan shows which is right"
         add(span.from_s, span.to_s, float(since_s[farthest]), span.gap_m, what)
+    times_s = evidence.scans.stamps_s - evidence.scans.stamps_s[0]
+    for gap in flag_runs(~evidence.is_judged):
+        from_s, to_s = times_s[[gap.start, gap.stop - 1]].tolist()
+        if (gap.stop - gap.start) * CHUNKS >= len(times_s):
+            scores = evidence.scores.items()
+            without = [own for own, score in scores if np.isnan(score.poses[gap, 0]).any()]
+            what = f"not judged, for lack of a pose in {', '.join(without)}"
+            add(from_s, to_s, 0.5 * (from_s + to_s), 1e3, what)
     if evidence.scores[path].seen_share < LITTLE_SEEN:
         what = "little was seen a second time, so nothing confirms the path"
         add(0.0, float(since_s[-1]), float(since_s[-1]), 0.0, what)
