@@ -26,8 +26,8 @@ _DEFAULT_CONFIG = LogConfig()
 
 _LOGGER = logging.getLogger(__name__)
 
-# Seconds since 1970 have 10 digits, nanoseconds 19.
-_NANOSECONDS_FROM = 1e14
+# Times since 1970 have 10 digits in seconds, 13, 16 or 19 in thousandths of the unit before.
+_SECONDS_BELOW = 1e11
 # Quaternions of few digits are this far from length 1.
 _QUATERNION_SLACK = 0.05
 # Columns of ``t x y theta``, and of a TUM file.
@@ -58,7 +58,7 @@ def read_trajectory(
     - 4 columns ``t x y theta``, sorted by time (equal times keep their order); rows out of order
       are counted in the log.
     - the same in other columns, separated by blanks or commas, under a heading that names them, as
-      in EuRoC. t is in nanoseconds if it is 1e14 or more, else in seconds.
+      in EuRoC. t is in seconds below 1e11, in ms below 1e14, in us below 1e17, else in ns.
     - a reference graph: each ``VERTEX2`` with the stamp of the ``ROBOTLASER1`` after it, sorted
       by time; of equal stamps the first stays, with a warning.
     - any log or bag that ``open_log`` reads: the odometry of its scans.
@@ -182,8 +182,7 @@ def _rows(where: Path, first: list[bytes], columns: list[int] | None) -> Iterato
                 f"{at}: the quaternion has length {length:.3g}, wanted 1; check that this is a TUM "
                 "file (t x y z qx qy qz qw)"
             )
-        if abs(values[0]) >= _NANOSECONDS_FROM:
-            values[0] *= 1e-9
+        values[0] = _seconds(values[0])
         if len(values) == _TUM and values[0] < last_s:
             raise TrajectoryError(
                 f"{at}: time goes back from {last_s:.6f} s to {values[0]:.6f} s; sort the lines by "
@@ -191,6 +190,12 @@ def _rows(where: Path, first: list[bytes], columns: list[int] | None) -> Iterato
             )
         last_s = values[0]
         yield values
+
+
+def _seconds(time: float) -> float:
+    """Return a time of unknown unit in seconds; see ``read_trajectory``."""
+    digits = next((d for d in (0, 3, 6) if abs(time) < _SECONDS_BELOW * 10.0**d), 9)
+    return time * 10.0**-digits
 
 
 def _floats(fields: list[bytes], at: str) -> list[float]:

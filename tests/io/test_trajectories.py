@@ -39,13 +39,11 @@ def test_packed_files_are_read(tmp_path: Path) -> None:
     assert found.poses[0] == pytest.approx([1.0, 2.0, 0.5])
 
 
-def test_four_columns_are_seconds_or_nanoseconds_by_magnitude(tmp_path: Path) -> None:
-    seconds = read(tmp_path, "s.txt", "1134864629.895182 1 2 0.5", "1134864630 3 4 0.5")
-    nanoseconds = read(
-        tmp_path, "n.txt", "1134864629895182000 1 2 0.5", "1134864630000000000 3 4 0"
-    )
-    assert seconds[0] == [1134864629.895182, 1.0, 2.0, 0.5]
-    assert nanoseconds[0][0] == pytest.approx(1134864629.895182, abs=1e-6)
+@pytest.mark.parametrize("digits", [0, 3, 6, 9])
+def test_the_unit_of_a_time_is_that_of_its_magnitude(tmp_path: Path, digits: int) -> None:
+    first, last = (f"{10**digits * 1134864629.895182:.6f}", f"{10**digits * 1134864630}")
+    (row, _) = read(tmp_path, "a.txt", f"{first} 1 2 0.5", f"{last} 3 4 0.5")
+    assert row == pytest.approx([1134864629.895182, 1.0, 2.0, 0.5], abs=1e-6)
 
 
 def test_csv_with_its_heading(tmp_path: Path) -> None:
