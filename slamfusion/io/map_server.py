@@ -176,8 +176,9 @@ def cells_from_image(
 ) -> tuple[I8, int]:
     """Return the cells of a picture, and the number of unknown cells that do not read so.
 
-    Those have the grey that map savers write for unknown, but trinary thresholds or an alpha
-    channel (which brightens) make them free or occupied. ``legacy_unknown`` reads them as unknown.
+    Those have the grey that map savers write for unknown, but trinary thresholds, an alpha channel
+    (which brightens) or ``negate`` make them free or occupied. ``legacy_unknown`` reads them as
+    unknown if the map is not negated.
 
     Args:
         pixels: (H, W), (H, W, 3) or (H, W, 4), uint8 or uint16, top row first.
@@ -188,7 +189,9 @@ def cells_from_image(
     """
     maxval = int(np.iinfo(pixels.dtype).max)
     grey = UNKNOWN_GREY * maxval // 255
-    may_be_unknown = rules.mode == "trinary" and not rules.negate
+    may_be_unknown = rules.mode == "trinary"
+    # A map with this grey is hardly negated, so free and occupied would stay exchanged.
+    legacy_unknown = legacy_unknown and not rules.negate
     count = 0
     if pixels.ndim == 2:
         shades = _quanta(np.arange(maxval + 1), maxval) / _QUANTUM_MAX
@@ -319,7 +322,7 @@ def load_map(
     again, in case another process is replacing them, and then refused.
 
     Map savers write grey 205 for unknown; with ``free_thresh`` above 0.196 or an alpha channel it
-    reads as free, as in nav2, with a warning.
+    reads as free, with ``negate`` as occupied, as in nav2, with a warning.
 
     Args:
         path: the YAML, or a PGM, PNG or BMP (each also gzipped), or a DXF drawing.
@@ -370,20 +373,24 @@ def load_map(
             f"{path}: its picture {entry.named!r} is not there; read instead: {entry.image.name} "
             "next to the YAML"
         )
-    if count and not legacy_unknown:
-        has_alpha = pixels.shape[2:] == (4,)
-        cause = (
-            "because map servers average the alpha channel in"
-            if has_alpha
-            else f"under 'free_thresh' {entry.rules.free_thresh:g}"
-        )
-        advice = "save it without alpha" if has_alpha else "write free_thresh: 0.196"
+    if count and (entry.rules.negate or not legacy_unknown):
         warn(
             f"{path}: {count} cells of grey 205, which map savers write for unknown, do not read "
-            f"as unknown {cause}; read them so with --legacy-unknown (nodes: "
-            f"legacy_unknown:=true), or {advice}"
+            f"as unknown {_why_known(entry.rules, has_alpha=pixels.shape[2:] == (4,))}"
         )
     return OccupancyGrid(cells, entry.resolution, entry.origin, name or stem)
+
+
+def _why_known(rules: Rules, *, has_alpha: bool) -> str:
+    """Return why the grey of unknown cells does not read as unknown, and what to do."""
+    if rules.negate:
+        return "because 'negate' is set; write negate: 0 if the walls are black"
+    cause, advice = f"under 'free_thresh' {rules.free_thresh:g}", "write free_thresh: 0.196"
+    if has_alpha:
+        cause = "because map servers average the alpha channel in"
+        advice = "save it without alpha"
+    option = "--legacy-unknown (nodes: legacy_unknown:=true)"
+    return f"{cause}; read them so with {option}, or {advice}"
 
 
 def _entry_with_picture(path: Path) -> tuple[MapFile, Pixels]:

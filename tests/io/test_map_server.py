@@ -163,6 +163,17 @@ def test_unknown_that_reads_as_free_is_counted_and_can_be_mended(
     assert len(told) == 1
 
 
+def test_a_saved_map_that_is_negated_by_mistake_is_named(tmp_path: Path) -> None:
+    path = write_map(tmp_path, pgm(GREY_ROWS), negate="1")
+    told: list[str] = []
+    for legacy_unknown in (False, True):
+        grid = load_map(path, warn=told.append, legacy_unknown=legacy_unknown)
+        assert grid.cells.tolist() == [[100, 100, 100], [100, 100, 0]]
+    assert told[0].startswith(f"{path}: 3 cells of grey 205")
+    assert told[0].endswith("because 'negate' is set; write negate: 0 if the walls are black")
+    assert told == told[:1] * 2
+
+
 def test_scale_is_linear_between_the_thresholds(tmp_path: Path) -> None:
     greys = list(range(256))
     path = write_map(tmp_path, pgm([greys]), mode="scale", free_thresh="0.2", occupied_thresh="0.7")
