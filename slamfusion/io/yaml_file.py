@@ -1,11 +1,13 @@
 """Read YAML files of at most 1 MiB.
 
 Values are counted, aliases as often as they are used, so that a short file cannot become a large
-value. Every failure of PyYAML is one error.
+value. A key that occurs twice is refused, because programs differ in which of both they use. Every
+failure of PyYAML is one error.
 """
 
 from __future__ import annotations
 
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +32,7 @@ def read_yaml(
         node = loader.get_single_node()
         if node is None:
             return None
-        _check_size(node)
+        _check_nodes(node)
         return loader.construct_document(node)
     except UnicodeDecodeError:
         message = f"{path}: wanted {what} in UTF-8, found other bytes; save it as UTF-8"
@@ -44,8 +46,8 @@ def read_yaml(
         raise error(f"{path}: not YAML ({reason}); fix the file or give {what}") from None
 
 
-def _check_size(node: yaml.Node) -> None:
-    """Refuse too many values, and too deep ones; one that holds itself is endlessly deep."""
+def _check_nodes(node: yaml.Node) -> None:
+    """Refuse a key that occurs twice, too many values, and too deep ones, as is one in itself."""
     left, count = [(node, 1)], 0
     while left:
         item, depth = left.pop()
@@ -58,4 +60,8 @@ def _check_size(node: yaml.Node) -> None:
         if isinstance(item, yaml.SequenceNode):
             left += [(own, depth + 1) for own in item.value]
         elif isinstance(item, yaml.MappingNode):
+            keys = Counter(key.value for key, _ in item.value if isinstance(key, yaml.ScalarNode))
+            for key, times in keys.items():
+                if times > 1:
+                    raise ValueError(f"the key {key!r} occurs {times} times")
             left += [(own, depth + 1) for pair in item.value for own in pair]

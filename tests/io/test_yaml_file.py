@@ -36,6 +36,7 @@ REFUSED = {
     "merged": ("a: &a {x: 1}\nb: &b {<<: [*a, *b]}", "levels of nesting"),
     "no alias": ("a: *b", "found undefined alias"),
     "list as key": ("? [1, 2]\n: 3", "found unhashable key"),
+    "a key twice": ("a: {b: 0.05, c: 1, b: 0.1}", "not YAML (the key 'b' occurs 2 times)"),
     "control": ("a: \x00", "special characters are not allowed"),
     "long tag": ("!" + "t" * 100_000 + " x", "could not determine a constructor"),
 }
