@@ -18,6 +18,9 @@ from slamfusion.errors import ScanError
 from slamfusion.geometry import B8, F32, F64, Pose2, transform_points
 from slamfusion.grid import IDENTITY
 
+# A sweep is one turn; some drivers send the start of the next one with it, or count on.
+ANGLE_MAX_RAD = 4.0 * math.pi
+
 
 @dataclass(frozen=True, eq=False)
 class LaserScan:
@@ -36,7 +39,7 @@ class LaserScan:
             metres, radians. None: it stood still. See ``slamfusion.deskew``.
 
     Raises:
-        ScanError: wrong shape, no beam, or a geometry that is not finite.
+        ScanError: wrong shape, no beam, or a geometry that is not finite or beyond two turns.
     """
 
     stamp_s: float
@@ -58,10 +61,16 @@ class LaserScan:
             raise ScanError(f"stamp, first angle and angle step must be finite, found {numbers}")
         if ranges.size > 1 and self.angle_increment_rad == 0.0:
             raise ScanError(f"the angle between the {ranges.size} beams of a scan must not be 0")
+        last_rad = self.angle_min_rad + self.angle_increment_rad * (ranges.size - 1)
+        if max(abs(self.angle_min_rad), abs(last_rad)) > ANGLE_MAX_RAD:
+            raise ScanError(
+                "the angles of a scan must lie within two turns, found "
+                f"{self.angle_min_rad:.3g} to {last_rad:.3g} rad (degrees?)"
+            )
         if not 0.0 <= self.range_min_m < self.range_max_m:
             raise ScanError(
                 f"range limits must satisfy 0 <= min < max, "
-                f"found {self.range_min_m} and {self.range_max_m}"
+                f"found {self.range_min_m:g} and {self.range_max_m:g}"
             )
         if ranges is self.ranges:
             if not ranges.flags.writeable:

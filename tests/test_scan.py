@@ -82,6 +82,8 @@ def test_readings_are_frozen_and_are_the_scan_s_own():
         ({"stamp_s": math.nan}, "must be finite"),
         ({"angle_min_rad": math.inf}, "must be finite"),
         ({"angle_increment_rad": 0.0}, "must not be 0"),
+        ({"angle_min_rad": -180.0, "angle_increment_rad": 1.0}, "-180 to -179 rad .degrees"),
+        ({"angle_increment_rad": -13.0}, "within two turns"),
         ({"range_min_m": 10.0}, "0 <= min < max"),
         ({"range_min_m": -1.0}, "0 <= min < max"),
         ({"range_max_m": math.nan}, "0 <= min < max"),

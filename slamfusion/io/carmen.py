@@ -62,8 +62,6 @@ CARMEN_WORDS = frozenset(
     {*LASERS, *OTHER_LASERS, b"ODOM", b"PARAM", b"Odometry", b"NEFF", b"SYNC", b"TRUEPOS"}
     | {b"VERTEX2", b"EDGE2", b"ODO_UPDATE", b"SM_UPDATE", b"FRAME", b"RESAMPLE"}
 )
-# No laser starts or steps by more than two turns.
-_ANGLE_MAX_RAD = 4.0 * math.pi
 
 WRONG_COUNT = "wrong number of fields (a cut-off line?)"
 NOT_FINITE = "pose or time not finite"
@@ -311,8 +309,6 @@ def _robot_laser(fields: list[bytes]) -> Message:
     first_rad, view_rad, step_rad = _finite(fields[2:5])
     if step_rad == 0.0 and len(ranges) > 1:
         step_rad = view_rad / (len(ranges) - 1)
-    if max(abs(first_rad), abs(step_rad)) > _ANGLE_MAX_RAD:
-        raise BadLineError(NO_SCAN)
     poses = rest[-14:-8]
     return Message(
         b"ROBOTLASER1",

@@ -182,6 +182,7 @@ def test_a_laser_that_turns_on_the_robot_has_a_mount_for_each_time(tmp_path: Pat
         {"range_max": 0.0},
         {"range_max": math.nan},
         {"angle_increment": 0.0},
+        {"angle_increment": 57.3},
         {"angle_min": math.nan},
     ],
 )
@@ -191,6 +192,7 @@ def test_a_scan_of_impossible_geometry_is_a_counted_skip(
     log, scans = read(driven().scan(10.5, **fields).scan(11.0), tmp_path)
     assert [scan.line for scan in scans] == [2]
     assert log.skips.counts == {"angles or ranges that cannot be a scan": 1}
+    assert sum(" must " in note for note in log.notes) == 1
 
 
 def test_scans_without_stamps_take_the_time_of_recording_and_say_so(tmp_path: Path) -> None:

@@ -131,5 +131,5 @@ def test_packed_bags_of_ordinary_size_are_read(tmp_path: Path, mode: str) -> Non
     bags = pytest.importorskip("tests.io.bags")
     bag = bags.Bag()
     for number in range(20):
-        bag.scan(1.0 + 0.1 * number, [1.0] * 2000)
+        bag.scan(1.0 + 0.1 * number, [1.0] * 2000, angle_increment=0.003)
     assert sum(1 for _ in open_log(packed_bag(tmp_path, bag, mode))) == 20

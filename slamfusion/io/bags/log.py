@@ -142,8 +142,10 @@ class BagLog(ScanLog):
                 continue
             try:
                 scan = self._scan(message, time_s)
-            except ScanError:
+            except ScanError as error:
                 self.skips.add(NO_SCAN, number)
+                if str(error) not in self.notes and self.skips.counts[NO_SCAN] == 1:
+                    self.notes.append(str(error))
             else:
                 yield number, scan
 

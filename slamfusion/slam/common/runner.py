@@ -257,8 +257,7 @@ def _nothing_used(mapper: Mapper, record: LogRecord | None, fed: int) -> str:
     reasons = list(mapper.health.skips.sentences("scan")) if fed else []
     if record is not None:
         reasons += [f"{sentence} in the log" for sentence in record.skipped.sentences()]
-    why = f": {'; '.join(reasons)}" if reasons else ""
-    return (
-        f"{where}{mapper.name} could use none of {fed} scans{why}; "
-        "give a log whose scans see walls within the usable range"
-    )
+        reasons += record.notes
+    if fed:
+        reasons.append("give a log whose scans see walls within the usable range")
+    return f"{where}{mapper.name} could use none of {fed} scans: {'; '.join(reasons)}"
