@@ -205,7 +205,13 @@ class CarmenLog(ScanLog):
         if own_m < (math.inf if found.from_m is None else found.from_m):
             note = f"readings from {own_m:g} m on are no return, as the lines say"
         elif found.from_m is None:
-            note = "no reading is repeated, as lasers do without a return; all count as hits"
+            far = sum(np.count_nonzero(one.ranges_m >= _LIMIT_M) for one in messages)
+            note = (
+                "no reading is repeated, as lasers do without a return; all above 0 and below "
+                f"{_LIMIT_M:g} m count as hits"
+            )
+            if 2 * far >= sum(len(one.ranges_m) for one in messages):
+                note += "; most are longer: millimetres? wanted metres"
         else:
             note = (
                 f"readings from {found.from_m:.2f} m on are no return (the log repeats "

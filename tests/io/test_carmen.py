@@ -177,7 +177,12 @@ def test_a_largest_reading_that_occurs_once_is_a_hit(tmp_path: Path) -> None:
     scan = next(iter(log)).scan
     assert scan.is_hit().all()
     assert scan.ranges[-1] == np.float32(79.5)
-    assert any("all count as hits" in note for note in log.notes)
+    assert any(note.endswith("all above 0 and below 1000 m count as hits") for note in log.notes)
+
+
+def test_readings_in_millimetres_are_named(tmp_path: Path) -> None:
+    lines = [flaser(k, [1000.0 * r for r in varied(180, 20, k)]) for k in range(8)]
+    assert any("millimetres? wanted metres" in note for note in log_of(tmp_path, *lines).notes)
 
 
 def test_the_user_says_what_saw_nothing(tmp_path: Path) -> None:
