@@ -161,6 +161,15 @@ class Fusion:
         return tuple(record for record in self.inputs if record.accepted)
 
     @property
+    def doubtful(self) -> tuple[InputRecord, ...]:
+        """The inputs that voted though much contradicts them."""
+        return tuple(
+            record
+            for record in self.accepted
+            if record.alignment is not None and record.alignment.strength == "weak"
+        )
+
+    @property
     def rejected(self) -> tuple[InputRecord, ...]:
         """The inputs that do not fit; copies of others are none of them."""
         return tuple(

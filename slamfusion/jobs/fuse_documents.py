@@ -259,7 +259,7 @@ def fusion_sentences(
 
 
 def left_out_sentences(result: FusionResult | StoredFusion) -> list[str]:
-    """Name the inputs that have no vote or are bent, and what the fused map was cut off from."""
+    """Name the inputs without a vote, doubtful or bent, and what the fused map was cut off from."""
     rejected = [f"rejected: {record.name}: {record.reason}" for record in result.rejected]
     copies = [
         f"{record.name}: {record.reason}; --keep-duplicates counts each" for record in result.copies
@@ -270,8 +270,15 @@ def left_out_sentences(result: FusionResult | StoredFusion) -> list[str]:
         for group in (result, *result.others)
         for name, area in group.left_out_m2.items()
     ]
-    bent = [words for group in (result, *result.others) for words in group.bent_sentences]
-    return rejected + copies + bent + cuts
+    doubts = [
+        words
+        for group in (result, *result.others)
+        for words in (
+            *(f"doubtful: {record.name}: {record.reason}" for record in group.doubtful),
+            *group.bent_sentences,
+        )
+    ]
+    return rejected + copies + doubts + cuts
 
 
 def _reason(name: str, pairs: Sequence[Alignment], otherwise: str) -> str:

@@ -30,7 +30,7 @@ def fusion_banner(result: FusionResult, failure: str | None) -> page.Banner:
         return page.Banner("bad", "Do not use this map", [("", failure), *lines])
     if result.rejected:
         return page.Banner("warn", f"Only {fused} of {total} maps were fused", lines)
-    tone = "warn" if _weak(result) else "good"
+    tone = "warn" if result.doubtful else "good"
     return page.Banner(tone, f"{'Both' if total == 2 else f'All {total}'} maps were fused", lines)
 
 
@@ -39,22 +39,13 @@ def doubtful_lines(result: FusionResult) -> list[tuple[str, str]]:
     return [
         *((f"{record.name} was rejected:", record.reason) for record in result.rejected),
         *((f"{record.name} is a copy:", record.reason) for record in result.copies),
-        *((f"{name} may not belong here:", reason) for name, reason in _weak(result)),
+        *((f"{record.name} may not belong here:", record.reason) for record in result.doubtful),
         *(("", words) for group in (result, *result.others) for words in group.bent_sentences),
         *(
             (f"Left out, outside the box of {group.reference}:", f"{area:.1f} m² of {name}.")
             for group in (result, *result.others)
             for name, area in group.left_out_m2.items()
         ),
-    ]
-
-
-def _weak(result: FusionResult) -> list[tuple[str, str]]:
-    """Return the inputs that vote though much contradicts them, each with its reason."""
-    return [
-        (record.name, record.reason)
-        for record in result.accepted
-        if record.alignment is not None and record.alignment.strength == "weak"
     ]
 
 

@@ -20,7 +20,7 @@ from slamfusion.evaluation.map_error import compare_to_truth
 from slamfusion.grid import OccupancyGrid
 from slamfusion.jobs.evaluate import write_evaluation
 from slamfusion.jobs.fuse import FusedMaps, write_failed_fusion, write_fusion_report
-from slamfusion.jobs.fuse_documents import Evaluation
+from slamfusion.jobs.fuse_documents import Evaluation, left_out_sentences
 from slamfusion.slam.registry import with_producers, with_settings
 from tests.report.drawn import NASTY, REASON, alignment, colours_of, explains, fusion, room
 
@@ -125,6 +125,8 @@ def test_a_weak_match_is_told_first_and_each_says_how_good_it_is(
     page = read(write_fusion_report(FusedMaps(CONFIG, weak, None), tmp_path))
     assert f"accepted: {strength}" in page.text
     assert ("room 1 may not belong here: fits" in page.text) is is_told
+    said = left_out_sentences(weak)
+    assert any(words.startswith("doubtful: room 1: fits") for words in said) is is_told
 
 
 def test_only_changed_settings_of_a_producer_are_listed_as_changed(tmp_path: Path) -> None:
