@@ -44,7 +44,12 @@ KINDS: tuple[tuple[dict[str, Any], DecisionKind, str], ...] = (
     ({"share": 0.45, "reading": "bent"}, "accepted", "or is a map bent?"),
     ({"scale": 1.02}, "accepted", "differ in scale by 2.0%"),
     ({"pieces": 1.0, **EVEN}, "too little in common", "1.0 independent pieces of wall"),
-    ({"nearest": "a shift of itself", **EVEN}, "too little in common", "a shift of itself"),
+    ({"pieces": -1.0, **EVEN}, "too little in common", " 0.0 independent pieces of wall"),
+    (
+        {"nearest": "a shift of itself", **EVEN, "better": -0.9},
+        "too little in common",
+        " 0.0 independent pieces tell it from a shift of itself",
+    ),
     (EVEN, "ambiguous", f"another transform, {RIVAL}, explains 100% of that"),
     (EVEN | {"share": 0.4}, "different place", "do not show the same place"),
     (EVEN | {"rival_ratio": 0.4}, "different place", "another pose explains 40% of that"),
