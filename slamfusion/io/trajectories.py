@@ -30,10 +30,13 @@ _LOGGER = logging.getLogger(__name__)
 _SECONDS_BELOW = 1e11
 # Quaternions of few digits are this far from length 1.
 _QUATERNION_SLACK = 0.05
+# A wrapped yaw jumps by a turn, and by what the robot turns meanwhile; in degrees, by 360.
+_JUMP_MAX_RAD = 4.0 * math.pi
 # Columns of ``t x y theta``, and of a TUM file.
 _PLANAR, _TUM = 4, 8
-# Limits of a robot on a floor: tilt; climb in metres and as a share of the travelled extent.
-_TILT_MAX_DEG, _CLIMB_MAX_M, _CLIMB_MAX = 30.0, 0.5, 0.5
+# Limits of a robot on a floor: tilt; climb in metres and as a share of the travelled extent; way
+# to the side in metres if it never turns.
+_TILT_MAX_DEG, _CLIMB_MAX_M, _CLIMB_MAX, _ASIDE_MAX_M = 30.0, 0.5, 0.5, 0.5
 _WANTED = (
     "a TUM file (8 columns, time x y z qx qy qz qw), rows of 'time x y theta', a heading that "
     "names such columns, a log, or a reference graph"
@@ -56,7 +59,7 @@ def read_trajectory(
       A path that does not lie in the plane is refused, with the likely cause: quaternions written
       w first, or camera axes, both of which ``config`` can state.
     - 4 columns ``t x y theta``, sorted by time (equal times keep their order); rows out of order
-      are counted in the log.
+      are counted in the log. A theta in degrees is refused if it jumps by more than two turns.
     - the same in other columns, separated by blanks or commas, under a heading that names them, as
       in EuRoC. t is in seconds below 1e11, in ms below 1e14, in us below 1e17, else in ns.
     - a reference graph: each ``VERTEX2`` with the stamp of the ``ROBOTLASER1`` after it, sorted
@@ -89,6 +92,7 @@ def read_trajectory(
     table = np.array(rows)
     if table.shape[1] == _TUM:
         table = _in_plane(where, table, config)
+    _check_yaw(where, table[:, 1:], warn)
     backward = int((np.diff(table[:, 0]) < 0.0).sum())
     if backward:
         what = "rows are earlier than the one before; sorted by time"
@@ -278,6 +282,23 @@ def _out_of_plane(poses: F64) -> str | None:
     if extents[2] > max(_CLIMB_MAX_M, _CLIMB_MAX * float(extents[:2].max())):
         return f"z varies by {extents[2]:.1f} m, x and y by {extents[0]:.1f} and {extents[1]:.1f} m"
     return None
+
+
+def _check_yaw(where: Path, poses: F64, warn: Callable[[str], None]) -> None:
+    """Refuse yaws, (N, 3) poses, that jump as those in degrees do; warn of one that never turns."""
+    jump = np.abs(np.diff(poses[:, 2])).max(initial=0.0)
+    if jump > _JUMP_MAX_RAD:
+        raise TrajectoryError(
+            f"{where}: theta jumps by {jump:.4g} between two poses, wanted radians; is it in "
+            "degrees? convert it"
+        )
+    places = poses[:, :2] - poses[:, :2].mean(axis=0)
+    aside_m = np.ptp(places @ np.linalg.svd(places, full_matrices=False)[2].T, axis=0)[-1]
+    if np.ptp(poses[:, 2]) == 0.0 and aside_m > _ASIDE_MAX_M:
+        warn(
+            f"{where}: all {len(poses)} poses have one yaw, but the path turns: positions alone? "
+            "then errors of rotation, and relative ones, mean nothing"
+        )
 
 
 # --- graphs and logs -----------------------------------------------------------------------------

@@ -75,6 +75,23 @@ def test_a_path_on_no_floor_is_refused(tmp_path: Path) -> None:
     assert len(read_trajectory(written(tmp_path, table))) == len(table)
 
 
+def test_a_yaw_in_degrees_is_refused(tmp_path: Path) -> None:
+    table = np.column_stack((STAMPS_S[:2], POSES[:2, :2], (170.0, -175.0)))
+    with pytest.raises(TrajectoryError, match=r"theta jumps by 345 between two poses.*degrees\?"):
+        read_trajectory(written(tmp_path, table))
+
+
+def test_a_path_of_positions_alone_is_named(tmp_path: Path) -> None:
+    table, told = rows(), list[str]()
+    table[:, 4:] = (0.0, 0.0, 0.0, 1.0)
+    read_trajectory(written(tmp_path, table), warn=told.append)
+    assert ["positions alone?" in sentence for sentence in told] == [True]
+    table[:, 2] = 0.0  # straight ahead
+    read_trajectory(written(tmp_path, table), warn=told.append)
+    read_trajectory(written(tmp_path, rows()), warn=told.append)
+    assert len(told) == 1
+
+
 EUROC = (
     "#timestamp [ns],p_RS_R_x [m],p_RS_R_y [m],p_RS_R_z [m],q_RS_w [],q_RS_x [],q_RS_y [],"
     "q_RS_z [],v_RS_R_x [m s^-1],v_RS_R_y [m s^-1],v_RS_R_z [m s^-1]"
