@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import io
-import logging
 import os
 import sys
 import traceback
@@ -49,8 +48,6 @@ EXIT_PIPE_CLOSED = 141
 # The variable by which a shell asks for completions: bash_source, zsh_complete, ...
 COMPLETE = "_SLAMFUSION_COMPLETE"
 OUT_OF_MEMORY = "out of memory; free some, crop the maps or use a coarser cell"
-# Their warnings are printed: a full cache, a SLAM that is not used, ...
-PRINTED_LOGGERS = ("slamfusion.compute", "slamfusion.slam.registry")
 
 
 @click.group(cls=Group, table=COMMANDS, context_settings={"help_option_names": ["-h", "--help"]})
@@ -65,11 +62,6 @@ def run_program(arguments: Sequence[str]) -> int:
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):  # file names need not be text
             stream.reconfigure(errors="backslashreplace")
-    logging.getLogger("slamfusion").addHandler(logging.NullHandler())
-    for name in PRINTED_LOGGERS:
-        logger = logging.getLogger(name)
-        if not logger.handlers:
-            logger.addHandler(logging.StreamHandler())
     if wanted := os.environ.get(COMPLETE):
         return shell_complete(cli, {}, "slamfusion", COMPLETE, wanted)
     settings = Settings(arguments=tuple(arguments))

@@ -65,3 +65,9 @@ def test_odometry_lets_every_relation_count(
         "poses_without_row": 0,
     }
     assert document["poses"] == 4
+
+
+def test_a_path_of_positions_alone_is_named(tmp_path: Path) -> None:
+    truth = tum(tmp_path / "gps.tum", [(t, x, float(t == 2.0), 0.0) for t, x, _, _ in TRUTH])
+    done = run("trajectory", tum(tmp_path / "slam.tum", ESTIMATE), "--truth", truth)
+    assert done.stderr.startswith(f"{truth}: all 4 poses have one yaw, but the path turns")
