@@ -147,7 +147,10 @@ def print_evaluations(evaluations: Sequence[jobs.fuse_documents.Evaluation]) -> 
     first = evaluations[0]
     _print_figures(
         ("map ", "aligned "),
-        [(item.name, "yes" if item.aligned else "NO") for item in evaluations],
+        [
+            (item.name, "as is" if item.alignment is None else "yes" if item.aligned else "NO")
+            for item in evaluations
+        ],
         list(map(evaluation.measured.shown_figures, evaluations)),
         f"Errors against {first.truth} (walls within {first.tolerance_m:g} m)",
     )

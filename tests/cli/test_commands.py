@@ -160,3 +160,9 @@ def test_maps_that_are_mirrored_against_the_truth_are_named(tmp_path: Path) -> N
     done = run_here("fuse", *MAPS, "-o", tmp_path / "fused", "--truth", tmp_path / "image.yaml")
     assert done.returncode == 0
     assert "not aligned: fused: fits its mirror image" in done.stderr
+
+
+def test_maps_that_are_used_as_they_are_do_not_count_as_aligned() -> None:
+    for options, shown in (((), "yes"), (("--no-align",), "as is")):
+        done = run_here("evaluate", MAPS[0], "--truth", MAPS[0], *options)
+        assert f"\nmap_a\t{shown}\t0.00\t" in done.stdout
