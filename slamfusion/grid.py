@@ -16,7 +16,7 @@ from typing import TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.config import NormalizeConfig
+from slamfusion.config import YAW_MOST_RAD, NormalizeConfig
 from slamfusion.errors import GridError
 from slamfusion.geometry import F64, I8, I64, Pose2
 
@@ -34,8 +34,6 @@ RESOLUTION_LEAST_M, RESOLUTION_MOST_M = 1e-4, 100.0
 # Metres from the frame's origin along x or y. UTM northings reach 1e7, where float64 has a step of
 # 2e-9 m; float32 and fixed point on the device are relative to a map's own corner or centre.
 ORIGIN_MOST_M = 1e7
-# Radians: two turns; a larger number is most likely in degrees.
-YAW_MOST_RAD = 4.0 * math.pi
 
 
 @dataclass(frozen=True)

@@ -13,13 +13,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.config import LaserMounting
+from slamfusion.config import YAW_MOST_RAD, LaserMounting
 from slamfusion.errors import ScanError
 from slamfusion.geometry import B8, F32, F64, Pose2, transform_points
 from slamfusion.grid import IDENTITY
-
-# A sweep is one turn; some drivers send the start of the next one with it, or count on.
-ANGLE_MAX_RAD = 4.0 * math.pi
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +59,7 @@ class LaserScan:
         if ranges.size > 1 and self.angle_increment_rad == 0.0:
             raise ScanError(f"the angle between the {ranges.size} beams of a scan must not be 0")
         last_rad = self.angle_min_rad + self.angle_increment_rad * (ranges.size - 1)
-        if max(abs(self.angle_min_rad), abs(last_rad)) > ANGLE_MAX_RAD:
+        if max(abs(self.angle_min_rad), abs(last_rad)) > YAW_MOST_RAD:
             raise ScanError(
                 "the angles of a scan must lie within two turns, found "
                 f"{self.angle_min_rad:.3g} to {last_rad:.3g} rad (degrees?)"

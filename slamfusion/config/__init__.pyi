@@ -4,6 +4,7 @@
 from slamfusion.config.core import (
     INTEGER_MAX as INTEGER_MAX,
     PUBLISHED as PUBLISHED,
+    YAW_MOST_RAD as YAW_MOST_RAD,
     Checked as Checked,
     ConfigOption as ConfigOption,
     FieldInfo as FieldInfo,

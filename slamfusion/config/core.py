@@ -25,6 +25,8 @@ LIST_MAX = 10_000
 
 # Limit of coordinates, metres.
 FARTHEST = 1e7
+# Limit of angles, radians: two turns; a larger number is most likely in degrees.
+YAW_MOST_RAD = 4.0 * math.pi
 # Step of a list ``first..last``, in the unit of the field.
 LIST_STEP = 0.1
 

@@ -8,7 +8,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any, Literal, TypeAlias
 
-from slamfusion.config.core import Checked, option
+from slamfusion.config.core import YAW_MOST_RAD, Checked, option
 from slamfusion.config.fusion import EvaluateConfig, FusionConfig, LiveConfig
 from slamfusion.errors import ConfigError, StartError, shown
 
@@ -144,7 +144,8 @@ def checked_start(given: Any, where: str) -> tuple[float, ...]:
         given: numbers, or a text of them with commas. The yaw may be in degrees: ``46.4deg``.
 
     Raises:
-        StartError: another count of numbers, one that is not finite, or a negative tolerance.
+        StartError: another count of numbers, one that is not finite, a negative tolerance, or a yaw
+            of more than two turns.
     """
     parts = given.split(",") if isinstance(given, str) else given
     is_row = isinstance(parts, Sequence) and not isinstance(parts, bytes)
@@ -159,6 +160,11 @@ def checked_start(given: Any, where: str) -> tuple[float, ...]:
         found = ",".join(map(_shown, parts[:10])) if is_row else shown(given)
         wanted = f"wanted {START_FORM}, all finite, tolerances from 0"
         raise StartError(f"{where}: {wanted}; found {found}")
+    if abs(values[YAW]) > YAW_MOST_RAD:
+        raise StartError(
+            f"{where}: the yaw must lie within {YAW_MOST_RAD:.2f} radians, found "
+            f"{values[YAW]:g}; if these are degrees, write {values[YAW]:g}{DEGREES}"
+        )
     return values
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from slamfusion.config import LogConfig
+from slamfusion.config import YAW_MOST_RAD, LogConfig
 from slamfusion.errors import TrajectoryError
 from slamfusion.geometry import F64, quaternion_yaw_rad, wrap_angle
 from slamfusion.io.carmen import CARMEN_WORDS
@@ -30,8 +30,6 @@ _LOGGER = logging.getLogger(__name__)
 _SECONDS_BELOW = 1e11
 # Quaternions of few digits are this far from length 1.
 _QUATERNION_SLACK = 0.05
-# A wrapped yaw jumps by a turn, and by what the robot turns meanwhile; in degrees, by 360.
-_JUMP_MAX_RAD = 4.0 * math.pi
 # Columns of ``t x y theta``, and of a TUM file.
 _PLANAR, _TUM = 4, 8
 # Limits of a robot on a floor: tilt; climb in metres and as a share of the travelled extent; way
@@ -286,8 +284,9 @@ def _out_of_plane(poses: F64) -> str | None:
 
 def _check_yaw(where: Path, poses: F64, warn: Callable[[str], None]) -> None:
     """Refuse yaws, (N, 3) poses, that jump as those in degrees do; warn of one that never turns."""
+    # A wrapped yaw jumps by a turn, and by what the robot turns meanwhile.
     jump = np.abs(np.diff(poses[:, 2])).max(initial=0.0)
-    if jump > _JUMP_MAX_RAD:
+    if jump > YAW_MOST_RAD:
         raise TrajectoryError(
             f"{where}: theta jumps by {jump:.4g} between two poses, wanted radians; is it in "
             "degrees? convert it"

@@ -22,6 +22,7 @@ BAD = {
     "map_a=1,2,nan": f"map_a: {WANTED}; found 1,2,nan",
     "map_a=1,2": f"map_a: {WANTED}; found 1,2",
     "map_a=1deg,2,3": f"map_a: {WANTED}; found 1deg,2,3",
+    "map_a=1,2,-90": "found -90; if these are degrees, write -90deg",
     "map_a=1,2,3,-0.1,1": f"map_a: {WANTED}; found 1,2,3,-0.1,1",
     "=1,2,3": "wanted NAME=x,y,yaw or NAME=x,y,yaw,metres,radians, found '=1,2,3'",
 }
