@@ -153,7 +153,7 @@ def align_pair(
     # If a finer level may still support the pair, the mirror image is searched there.
     is_cut = coarse is not None and coarse.is_cut
     found = replace(found, image_after=() if is_finer or is_cut else image_after)
-    answer = conclude(pair, config, found, expected, pairs, began)
+    answer = conclude(pair, config, found, expected, pairs, began, near)
     is_good = answer.evidence is not None and answer.evidence.reading == "good"
     if (answer.accepted and is_good) or not is_finer:
         return answer

@@ -53,11 +53,13 @@ def conclude(
     start: Pose2 | None,
     pairs: int,
     began: float,
+    near: str | None = None,
 ) -> Alignment:
     """Measure the answer and its rivals, decide, and write the record.
 
     ``found`` has at least one motion; ``start`` is where the answer is expected, without a window;
-    ``began`` is ``time.perf_counter()`` at the start of the work on this pair.
+    ``began`` is ``time.perf_counter()`` at the start of the work on this pair; ``near`` says where
+    alone was searched, for the reason of a rejection.
     """
     # More wrong answers look right on large ground, fewer near a start.
     trials = pairs * max(1.0, meeting_cells(pair) * pair.resolution**2 / GROUND_ONE_M2)
@@ -87,6 +89,8 @@ def conclude(
     evidence, decision = _decided(
         pair, config, found, answer, chances, best, statistics=statistics, runner_up=runner_up
     )
+    if near is not None and not decision.accepted:
+        decision = decision._replace(reason=f"{near}: {decision.reason}")
     statistics.pop("overlap")
     profile = None
     if found.coarse is not None:
