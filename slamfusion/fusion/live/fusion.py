@@ -29,6 +29,7 @@ from slamfusion.fusion.live.supervisor import InputSupervisor
 from slamfusion.fusion.live.voting import FusedLayers
 from slamfusion.geometry import F64, Pose2
 from slamfusion.grid import IDENTITY, CellBox, OccupancyGrid
+from slamfusion.io.files import return_freed_memory
 from slamfusion.vote.lattice import Lattice
 from slamfusion.vote.tiles import check_votes
 
@@ -216,8 +217,8 @@ class LiveFusion(Mailbox):
         self._expect()
         clock.append(time.perf_counter())
         self._supervisor.align(now_s, is_idle=not has_news)
-        for one in self._inputs.values():
-            one.release()
+        if sum(one.release() for one in self._inputs.values()):
+            return_freed_memory()  # at once: the holes of features are as large as all else
         self._place()
         clock.append(time.perf_counter())
         box = self._vote()

@@ -329,10 +329,12 @@ class Input:
         self._features = features, self._changed
         return features
 
-    def release(self) -> None:
+    def release(self) -> bool:
         """Release the features if the next alignment is likely to need those of another map."""
+        had_features = self._features is not None
         if self.is_drawn:
             self._features = None
+        return had_features and self.is_drawn
 
     def apart(self, a: Pose2, b: Pose2) -> tuple[float, float, float]:
         """Return the difference of two transforms of this map: centre m, turn rad, corners m."""

@@ -208,6 +208,7 @@ class InputSupervisor:
             except (SlamFusionError, MemoryError) as error:
                 one.tried = (one.version, reference.name, reference.version)
                 one.turn(Reason.FAILED, why=str(error) or type(error).__name__)
+            one.release()  # before those of the next one
             cells += own
 
     def _align(self, one: Input, reference: Input) -> None:
