@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import math
 import mmap
 import platform
@@ -22,6 +23,7 @@ from slamfusion.compute.device import choose_device, is_simulator, is_single_thr
 from slamfusion.compute.layout import CLIMBERS, EACH_LANE, kernel_options
 from slamfusion.compute.pocl_cache import PLATFORM
 from slamfusion.errors import DeviceError
+from slamfusion.geometry import I64
 
 INCLUDE = re.compile(r'^#include "([\w.]+)"$', flags=re.MULTILINE)
 
@@ -71,6 +73,7 @@ LOCAL_SIZES = {1: (CLIMBERS,), 2: (16, 4), 3: (1, 4, 1)}
 MOST_TABLES = 64
 # By how much an array that is copied to more memory may grow before the next copy.
 GROWTH = 1.5
+_LIBC = ctypes.CDLL(None)
 
 
 @dataclass(frozen=True)
@@ -187,29 +190,53 @@ class OpenCLDevice(ComputeDevice):
         if not self.shares_memory:
             cl.enqueue_copy(self.queue, array, handle.buffer)
             return
-        mapped, _ = cl.enqueue_map_buffer(
-            self.queue, handle.buffer, cl.map_flags.READ, 0, handle.shape, handle.dtype
-        )
-        mapped.base.release(self.queue)
+        self._mapped(handle).base.release(self.queue)
 
     def extended(
         self, array: DeviceArray[Any], count: int, fill: int | None, room: int
     ) -> OpenCLArray[Any]:
         """Return an array with ``count`` rows: on the same memory, or copied to more of it.
 
-        New memory has ``room`` rows at the least, or none to spare if that is 0; without ``fill``
-        the new rows are undefined.
+        New memory has none to spare if ``room`` is 0, else on a device that uses the host's memory
+        ``room`` rows at the least; without ``fill`` the new rows are undefined.
         """
         buffer = self._buffer(array)
         if count * math.prod(array.shape[1:]) * array.dtype.itemsize > buffer.size:
-            rows = max(room, int(GROWTH * count)) if room else count
-            grown = self.empty((rows, *array.shape[1:]), array.dtype)
+            least = room if self.shares_memory else 0
+            rows = max(least, int(GROWTH * count)) if room else count
+            grown = self._paged((rows, *array.shape[1:]), array.dtype)
             size = array.size * array.dtype.itemsize
             cl.enqueue_copy(self.queue, grown.buffer, buffer, byte_count=size)
             if fill is not None:
                 self.fill(grown, fill, first=array.size)
             buffer = grown.buffer
         return OpenCLArray(buffer, (count, *array.shape[1:]), array.dtype)
+
+    def _paged(self, shape: tuple[int, ...], dtype: np.dtype[Any]) -> OpenCLArray[Any]:
+        """Reserve an array that begins with a page of the host, if it uses its memory."""
+        if not self.shares_memory:
+            return self.empty(shape, dtype)
+        size = math.prod(shape) * dtype.itemsize
+        whole = self.empty((size + mmap.PAGESIZE,), np.uint8)
+        mapped = self._mapped(whole)
+        first = -mapped.__array_interface__["data"][0] % mmap.PAGESIZE
+        mapped.base.release(self.queue)
+        return OpenCLArray(whole.buffer.get_sub_region(first, size), shape, dtype)
+
+    def _mapped(self, array: DeviceArray[Any]) -> Any:
+        """Return an array in the host's memory, to be released."""
+        flags, buffer = cl.map_flags.READ, self._buffer(array)
+        return cl.enqueue_map_buffer(self.queue, buffer, flags, 0, array.shape, array.dtype)[0]
+
+    def discard_rows(self, array: DeviceArray[Any], rows: I64) -> None:
+        """Return the memory of rows, (K,) rising, if it is the host's; they become undefined."""
+        if not (self.shares_memory and len(rows)):
+            return
+        mapped = self._mapped(array)
+        address, size = mapped.__array_interface__["data"][0], mapped.strides[0]
+        for run in np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1):
+            _discard_pages(address + int(run[0]) * size, address + int(run[-1] + 1) * size)
+        mapped.base.release(self.queue)
 
     def copy_rows(self, source: DeviceArray[Any], target: OpenCLArray[Any]) -> None:
         """Copy the first columns of an array into one of another width, as many as both have."""
@@ -319,6 +346,13 @@ class OpenCLDevice(ComputeDevice):
     def _failed(self, what: str, error: Exception) -> DeviceError:
         words = " ".join(str(error).split())[:200]
         return DeviceError(f"{self.name}: {what} failed ({words}); try `--device numpy`")
+
+
+def _discard_pages(first: int, end: int) -> None:
+    """Return the whole pages between two addresses to the system; they become undefined."""
+    first, end = -(-first // mmap.PAGESIZE) * mmap.PAGESIZE, end // mmap.PAGESIZE * mmap.PAGESIZE
+    if first < end:
+        _LIBC.madvise(ctypes.c_void_p(first), ctypes.c_size_t(end - first), mmap.MADV_DONTNEED)
 
 
 def _number_type(item: Any) -> Any:

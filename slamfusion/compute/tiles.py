@@ -83,14 +83,19 @@ class TileDevice(ArrayDevice):
 
         Args:
             fill: value of the new tiles; None: undefined.
-            room: tiles that the pool may grow to before it is copied, at the least; 0: it will
-                not grow.
+            room: tiles that the pool may grow to before it is copied, at the least, where tiles
+                that were never written take no memory; 0: it will not grow.
         """
         if self.opencl:
             return self.opencl.extended(pool, count, fill, room)
         longer = np.full((count, *pool.shape[1:]), fill or 0, dtype=pool.dtype)
         longer[: pool.shape[0]] = host(pool)
         return longer
+
+    def discard_tiles(self, pool: DeviceArray[Any], numbers: I64) -> None:
+        """Return what memory of tiles can be, by their numbers (K,), rising; undefined then."""
+        if self.opencl:
+            self.opencl.discard_rows(pool, numbers)
 
     def copy_tiles(self, pools: tuple[DeviceArray[Any], ...], pairs: I32) -> None:
         """Copy tiles, in place.

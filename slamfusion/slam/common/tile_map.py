@@ -28,8 +28,7 @@ from slamfusion.slam.common.state import check_arrays, check_indices
 # Tiles for which a pool reserves memory at first: a room's, so that a small map is never copied.
 FIRST_ROOM = 64
 # The same of shared maps: hours in a large building, 30 particles. A copy takes longer than many
-# scans, and twice the memory; on a CPU memory that was never written takes no room, on a GPU
-# gmapping takes 338 MB at once.
+# scans, and twice the memory. Only where memory that was never written takes no room, as on a CPU.
 SHARED_ROOM = 1 << 15
 # Empty pages that the window keeps between its content and its border, so that it seldom moves.
 MARGIN = 2
@@ -227,6 +226,8 @@ class SharedTileMaps(_Tiles):
     def __init__(self, device: ComputeDevice, count: int, empty: Mapping[str, Array]) -> None:
         # Number of maps that use each tile; the empty tile counts as unused and is never free.
         self._users = np.zeros(1, dtype=np.int32)
+        # Tiles that no map uses since the last maps were taken over.
+        self._left = np.zeros(0, dtype=np.int64)
         self._one: tuple[int, DeviceArray[Any]] | None = None
         super().__init__(device, empty, (count,))
 
@@ -254,8 +255,13 @@ class SharedTileMaps(_Tiles):
 
     def take_over(self, parents: I64) -> None:
         """Replace every map by its parent's, (N,) indices of maps; no cell is copied."""
+        # What was not needed since it was left is hardly needed soon.
+        idle, before = self._left[self._users[self._left] == 0], self._users
+        for pool in self.pools.values():
+            self._device.discard_tiles(pool, idle)
         self.pages = self.pages[parents]
         self._count_users()
+        self._left = np.flatnonzero((before > 0) & (self._users == 0))
         self._send()
 
     def make_writable(self, written: B8) -> None:
@@ -285,6 +291,7 @@ class SharedTileMaps(_Tiles):
         """Take over what ``to_state`` returned."""
         super().restore(arrays)
         self._count_users()
+        self._left = self._left[:0]
 
     def _count_users(self) -> None:
         self._users = np.bincount(self.pages.ravel(), minlength=self.tiles).astype(np.int32)

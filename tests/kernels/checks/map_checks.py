@@ -269,6 +269,13 @@ def _copy_tiles(device: ComputeDevice, sample: Sample) -> Arrays:
     return fetch(device, pools)
 
 
+def _discard_tiles(device: ComputeDevice, sample: Sample) -> Arrays:
+    """Discarded tiles are undefined: the others stay."""
+    pool = device.upload(sample.rng.integers(0, 9, (6, 64, 64)).astype(np.uint32))
+    device.discard_tiles(pool, np.array([1, 2, 4]))
+    return [device.download(pool)[[0, 3, 5]]]
+
+
 def _take_tiles(device: ComputeDevice, sample: Sample) -> Arrays:
     tiles = 1 + sum(sample.shape) // 2
     numbers = sample.rng.integers(0, tiles, tiles + 5).astype(np.int32)
@@ -363,6 +370,7 @@ MAP_CHECKS: dict[str, Check] = {
     "mark_scan, integrate_scan of likelihoods": _likelihood_map,
     "touch_pages": _touch_pages,
     "copy_tiles": _copy_tiles,
+    "discard_tiles": _discard_tiles,
     "take_tiles": _take_tiles,
     "count_walks": _count_walks,
     "count_and_settle": _count_and_settle,

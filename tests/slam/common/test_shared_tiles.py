@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import psutil
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -135,3 +136,18 @@ def test_any_program_leaves_what_full_copies_hold(
         else:
             pair.take_over(what[0])
         pair.check()
+
+
+def test_the_memory_of_tiles_that_stay_unused_is_returned(device: ComputeDevice):
+    if device.opencl is None or not device.opencl.shares_memory:
+        pytest.skip("only memory of the host can be returned")
+    pages = 64
+    shared = SharedTileMaps(device, 2, {"counts": np.zeros((TILE, TILE), np.uint32)})
+    shared.cover(np.zeros(2), np.full(2, pages * TILE - 1.0))
+    shared.make_writable(np.ones(shared.pages.shape, dtype=np.bool_))
+    device.download(shared.pools["counts"])  # all are written
+    process, unused = psutil.Process(), shared.pages[1].size * TILE * TILE * 4
+    before = process.memory_info().rss
+    for _ in range(2):
+        shared.take_over(np.zeros(2, dtype=np.int64))
+    assert before - process.memory_info().rss > 0.9 * unused
