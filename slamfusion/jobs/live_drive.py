@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import math
 import threading
+from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias, get_args
@@ -163,6 +164,8 @@ class LiveDrive:
         self._scans: list[ScanHits] = []
         # By input: stamp, x, y and yaw of each pose.
         self._poses: dict[str, list[list[float]]] = {}
+        # Stamps of the last scans, with those that are dropped.
+        self._heard_s: deque[float] = deque(maxlen=MOST_SCANS)
         # Stamps of the scans with too few hits for a pose.
         self._blind_s: list[float] = []
         self._solved = 0
@@ -187,6 +190,7 @@ class LiveDrive:
         hits = next(scan_hits([item]), None)
         is_blind = hits is None or len(hits.rows) < LEAST_SEEN
         with self._lock:
+            self._heard_s.append(item.scan.stamp_s)
             if is_blind:
                 self._blind_s.append(item.scan.stamp_s)
             if hits is None:
@@ -235,6 +239,7 @@ class LiveDrive:
             self._generation += 1
             self._scans.clear()
             self._poses.clear()
+            self._heard_s.clear()
             self._blind_s.clear()
             self.solution = self._grown = None
             self._located, self._corrections = [], {}
@@ -342,11 +347,11 @@ class LiveDrive:
                 self._drawer = None
             kept = list(self._scans)
             poses = {name: np.array(own) for name, own in self._poses.items() if own}
-            blind_s = np.array(self._blind_s)
+            heard_s, blind_s = np.unique(self._heard_s), np.array(self._blind_s)
         if len(kept) < CHUNKS:
             return None
         scans = judged_hits(kept, beams.MOST_HITS if depth == "final" else MOST_HITS)
-        paths = self._at_scans(scans, poses)
+        paths = self._at_scans(scans, poses, heard_s)
         last = self._path if depth == "window" else None
         try:
             found = (
@@ -400,15 +405,17 @@ class LiveDrive:
             return None
         return _solved(judged_hits(hits, MOST_HITS), right or last, self._device)
 
-    def _at_scans(self, judged: JudgedScans, poses: Mapping[str, F64]) -> dict[str, Trajectory]:
+    def _at_scans(
+        self, judged: JudgedScans, poses: Mapping[str, F64], heard_s: F64
+    ) -> dict[str, Trajectory]:
         """Return the path of each input at the scans, if it maps them and is not silent."""
         paths = {}
         for name, own in poses.items():
             stamps_s = own[:, 0]
             if judged.stamps_s[-1] - stamps_s[-1] > SILENT_S:
                 continue
-            during = stamps_s[stamps_s >= judged.stamps_s[0] - SAME_STAMP_S]
-            near_s = judged.stamps_s[nearest_stamps(judged.stamps_s, during)]
+            during = stamps_s[stamps_s >= heard_s[0] - SAME_STAMP_S]
+            near_s = heard_s[nearest_stamps(heard_s, during)]
             if np.mean(np.abs(near_s - during) <= SAME_STAMP_S) < OF_SCANS:
                 continue
             own_path = Trajectory(stamps_s, own[:, 1:], name)

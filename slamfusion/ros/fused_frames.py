@@ -118,6 +118,13 @@ class DriveInput:
             resolution=state.resolution if settings.draw else None,
         )
         self._pace.done(depth, began_s, time.monotonic())
+        is_lost = solution is None and depth != "window" and self.live.solution is not None
+        text = (
+            "the drive is no longer solved, since no input has poses at its scans: the fused path "
+            "and the drawn map stay as they were; check the inputs, or start the drive again "
+            "(slamfusion live reset)"
+        )
+        self._node.diagnostics.say("solution", text if is_lost else None)
         if solution is None or not self.live.take(solution):
             return
         self._on_solution(solution)
