@@ -9,6 +9,7 @@ import platform
 import re
 import threading
 import warnings
+from collections import defaultdict
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Generic
@@ -129,8 +130,8 @@ class OpenCLDevice(ComputeDevice):
             words = " ".join(str(error).split())[:400]
             message = f"the kernels do not build on {self.device.name.strip()}: {words}"
             raise DeviceError(message) from error
-        # The kernel objects of each thread by name: they hold the arguments of a launch.
-        self._kernels = threading.local()
+        # Idle kernel objects by name: one holds the arguments of one launch at a time.
+        self._kernels: defaultdict[str, list[Any]] = defaultdict(list)
         self._tables: dict[bytes, OpenCLArray[Any]] = {}
         self._tables_lock = threading.Lock()
 
@@ -297,14 +298,16 @@ class OpenCLDevice(ComputeDevice):
         local = LOCAL_SIZES[len(size)]
         rounded = tuple(-(-s // part) * part for s, part in zip(size, local, strict=True))
         plain = [item.buffer if type(item) is OpenCLArray else item for item in arguments]
-        kernel = vars(self._kernels).get(name)
+        idle = self._kernels[name]
         try:
-            if kernel is None:
+            try:
+                kernel = idle.pop()
+            except IndexError:
                 kernel = cl.Kernel(self.program, name)
                 # The types of the numbers in its first launch: finding each takes 4 us.
                 kernel.set_scalar_arg_dtypes([_number_type(item) for item in plain])
-                setattr(self._kernels, name, kernel)
             kernel(self.queue, rounded, local, *plain)
+            idle.append(kernel)
         except cl.Error as error:
             raise self._failed(f"kernel {name}", error) from error
 
