@@ -265,39 +265,35 @@ __kernel void max_pair(__global const uchar *field, const int height, const int 
 /* Cells that are looked at together: mostly all on the input, or all off it. */
 #define WARP_CELLS 32
 
-/* The cells of `in` at the fixed pose of the centres of cells of a row, from one to RUN - 1 after it at
- * the most; fill outside. Along a row the position grows by a constant, two additions a cell instead of
- * four products. */
+/* The cells of `in` at the fixed pose of the centres of `count` cells of a row, every stride-th from one
+ * on; fill outside. Along a row the position grows by a constant, two additions a cell instead of four
+ * products. */
 INLINE void warped_run(__global const char *in, const int height, const int width, const long4 pose,
-                       const int row, const int first, const int stop, const char fill, char *run) {
-  const long x2 = 2 * first + 1, y2 = 2 * row + 1;
+                       const int row, const int first, const int stride, const int count,
+                       const char fill, char *run) {
+  const long x2 = 2 * first + 1, y2 = 2 * row + 1, dx = 2 * stride * pose.x, dy = 2 * stride * pose.y;
   long x = pose.x * x2 - pose.y * y2 + pose.z, y = pose.y * x2 + pose.x * y2 + pose.w;
-  const long dx = 2 * pose.x, dy = 2 * pose.y;
-  for (int begin = 0; begin < stop - first; begin += WARP_CELLS) {
-    const int end = LOWER(begin + WARP_CELLS, stop - first);
+  for (int begin = 0; begin < count; begin += WARP_CELLS) {
+    const int end = LOWER(begin + WARP_CELLS, count);
     const long far_x = x + dx * (end - 1 - begin), far_y = y + dy * (end - 1 - begin);
     const long low_x = LOWER(x, far_x) >> FIXED_TO_CELL_SHIFT, low_y = LOWER(y, far_y) >> FIXED_TO_CELL_SHIFT;
     const long high_x = HIGHER(x, far_x) >> FIXED_TO_CELL_SHIFT, high_y = HIGHER(y, far_y) >> FIXED_TO_CELL_SHIFT;
     /* On, or off to one side, at both ends: so between them too. */
     if (low_x >= 0 && low_y >= 0 && high_x < width && high_y < height) {
-      for (int i = 0; i < end - begin; i++) {
-        const int c = (x + dx * i) >> FIXED_TO_CELL_SHIFT, r = (y + dy * i) >> FIXED_TO_CELL_SHIFT;
-        run[begin + i] = in[r * width + c];
+      for (int i = begin; i < end; i++, x += dx, y += dy) {
+        run[i] = in[(int)(y >> FIXED_TO_CELL_SHIFT) * width + (int)(x >> FIXED_TO_CELL_SHIFT)];
       }
     } else if (low_x >= width || low_y >= height || high_x < 0 || high_y < 0) {
       for (int i = begin; i < end; i++) run[i] = fill;
+      x = far_x + dx;
+      y = far_y + dy;
     } else {
-      long across = x, down = y;
-      for (int i = begin; i < end; i++) {
-        const long c = across >> FIXED_TO_CELL_SHIFT, r = down >> FIXED_TO_CELL_SHIFT;
+      for (int i = begin; i < end; i++, x += dx, y += dy) {
+        const long c = x >> FIXED_TO_CELL_SHIFT, r = y >> FIXED_TO_CELL_SHIFT;
         const bool inside = c >= 0 && r >= 0 && c < width && r < height;
         run[i] = inside ? in[r * width + c] : fill;
-        across += dx;
-        down += dy;
       }
     }
-    x = far_x + dx;
-    y = far_y + dy;
   }
 }
 
@@ -313,37 +309,43 @@ __kernel void warp(__global const char *in, const int height, const int width,
   const int stop = LOWER(first + RUN, out_width);
   __global char *line = out + ((size_t)k * out_height + row) * out_width + first;
   char run[RUN];
-  warped_run(in, height, width, vload4(k, poses), row, first, stop, fill, run);
+  warped_run(in, height, width, vload4(k, poses), row, first, 1, stop - first, fill, run);
   for (int i = 0; i < stop - first; i++) line[i] = run[i];
 }
 
-/* Joint counts of a trinary grid and of another under a fixed pose, grid to other, which is unknown
- * outside: partial[chunk, 3 (a + 1) + (b + 1)] over chunks of `chunk` rows, at most 255; the host adds
- * the chunks. a (height, width), b (b_height, b_width) char; pose (4) long; partial (chunks, 9) int.
- * Global: (chunks). */
-__kernel void confusion(__global const char *a, const int height, const int width,
-                        __global const char *b, const int b_height, const int b_width,
-                        __global const long *pose, const int chunk, __global int *partial) {
-  const int start = get_global_id(0) * chunk, stop = LOWER(start + chunk, height);
-  if (start >= height) return;
-  int counts[9] = {0, 0, 0, 0, 0, 0, 0, 0, 0};
-  for (int first = 0; first < width; first += RUN) {
-    const int run = LOWER(RUN, width - first);
-    /* Column by column, for one pair of values after another: one count would wait for itself. */
-    uchar same[9][RUN];
-    for (int k = 0; k < 9; k++)
-      for (int i = 0; i < RUN; i++) same[k][i] = 0;
-    for (int row = start; row < stop; row++) {
+/* How a trinary grid and another under each pose agree, over chunks of `chunk` rows, at most 63, of every
+ * stride-th row and column; the other is unknown outside. partial[p, chunk] = the sum of squared
+ * differences of the cells, which is the error of [F16], and the cells that both know.
+ * a (height, width), b (b_height, b_width) char; poses (n, 4) long Q30, lattice of a to that of b;
+ * partial (n, chunks, 2) int. Global: (chunks, n). */
+__kernel void grid_error(__global const char *a, const int height, const int width,
+                         __global const char *b, const int b_height, const int b_width,
+                         __global const long *poses, const int n, const int stride, const int chunk,
+                         const int chunks, __global int *partial) {
+  const int c = get_global_id(0), p = get_global_id(1);
+  if (c >= chunks || p >= n) return;
+  const int start = c * chunk * stride, stop = LOWER(start + chunk * stride, height);
+  int error = 0, known = 0;
+  for (int first = 0; first < width; first += RUN * stride) {
+    const int run = LOWER(RUN, (width - first + stride - 1) / stride);
+    /* Column by column: one sum would wait for itself. */
+    uchar errors[RUN], knowns[RUN];
+    for (int i = 0; i < RUN; i++) errors[i] = knowns[i] = 0;
+    for (int row = start; row < stop; row += stride) {
       __global const char *own = a + (size_t)row * width + first;
       char other[RUN];
-      uchar pair[RUN];
-      warped_run(b, b_height, b_width, vload4(0, pose), row, first, first + run, UNKNOWN, other);
-      for (int i = 0; i < RUN; i++) pair[i] = i < run ? 3 * own[i] + other[i] + 4 : 9;
-      for (int k = 0; k < 9; k++)
-        for (int i = 0; i < RUN; i++) same[k][i] += pair[i] == k;
+      warped_run(b, b_height, b_width, vload4(p, poses), row, first, stride, run, UNKNOWN, other);
+      for (int i = 0; i < run; i++) {
+        const char difference = own[i * stride] - other[i];
+        errors[i] += difference * difference;
+        knowns[i] += (own[i * stride] | other[i]) >= 0;
+      }
     }
-    for (int k = 0; k < 9; k++)
-      for (int i = 0; i < RUN; i++) counts[k] += same[k][i];
+    for (int i = 0; i < RUN; i++) {
+      error += errors[i];
+      known += knowns[i];
+    }
   }
-  for (int k = 0; k < 9; k++) partial[get_global_id(0) * 9 + k] = counts[k];
+  partial[2 * (p * chunks + c)] = error;
+  partial[2 * (p * chunks + c) + 1] = known;
 }

@@ -376,33 +376,6 @@ __kernel void refine_terms(__global const float *forward_points, const int forwa
   for (int i = 0; i < REFINE_TERMS; i++) partial[(c * n + p) * REFINE_TERMS + i] = sum[i];
 }
 
-/* [F16] alignment error: partial[p, chunk] = sum of squared differences of the reference's cells and
- * the moving cells under pose p, over every stride-th row and column; off the moving grid counts as
- * unknown. a (height, width) char; b (b_height, b_width) char; poses (n, 4) long Q30, reference
- * lattice to moving lattice; partial (n, chunks) int, chunk strided rows a chunk.
- * Global: (chunks, n). */
-__kernel void squared_error(__global const char *a, const int height, const int width,
-                            __global const char *b, const int b_height, const int b_width,
-                            __global const long *poses, const int n, const int stride,
-                            const int chunk, const int chunks, __global int *partial) {
-  const int c = get_global_id(0), p = get_global_id(1);
-  if (c >= chunks || p >= n) return;
-  const long4 pose = vload4(p, poses);
-  int sum = 0;
-  for (int k = c * chunk; k < (c + 1) * chunk; k++) {
-    const int row = k * stride;
-    if (row >= height) break;
-    for (int col = 0; col < width; col += stride) {
-      const int2 cell = fixed_cell(pose, 2 * col + 1, 2 * row + 1);
-      const bool inside = cell.x >= 0 && cell.y >= 0 && cell.x < b_width && cell.y < b_height;
-      const int other = inside ? b[(size_t)cell.y * b_width + cell.x] : UNKNOWN;
-      const int difference = a[(size_t)row * width + col] - other;
-      sum += difference * difference;
-    }
-  }
-  partial[p * chunks + c] = sum;
-}
-
 /* Points between two looks at whether a block can still be of use. */
 #define POINTS_BETWEEN 16
 

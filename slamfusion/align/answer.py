@@ -228,10 +228,9 @@ def measure(pair: Pair, motion: F64) -> dict[str, float]:
     smaller = 0 if len(pair.moving.wall_points) <= len(pair.reference.wall_points) else 1
     # Common known cells, and the [F16] error over the reference's box.
     _, (_, back, _) = pair.sides(motion[None])
-    pose = back[:, 0].astype(np.int64)
-    common = pair.device.confusion(pair.reference.cells, pair.moving.cells, pose)
+    poses = back.T.astype(np.int64)
+    ((error, common),) = pair.device.grid_error(pair.reference.cells, pair.moving.cells, poses)
     least = max(1, min(pair.reference.known_cells, pair.moving.known_cells))
-    squares = np.array([[0, 1, 4], [1, 0, 1], [4, 1, 0]])
     return {
         "wall_match": float(min(match)),
         "wall_match_moving": float(match[0]),
@@ -242,6 +241,6 @@ def measure(pair: Pair, motion: F64) -> dict[str, float]:
         "chance": float(max(chance)),
         "explained": float(match[smaller]),
         "explained_by_chance": float(chance[smaller]),
-        "overlap": min(1.0, float(common[1:, 1:].sum()) / least),
-        "error": math.sqrt(float((common * squares).sum())),
+        "overlap": min(1.0, float(common) / least),
+        "error": math.sqrt(float(error)),
     }

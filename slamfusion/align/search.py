@@ -296,7 +296,7 @@ def fixed_step_search(pair: Pair, step: int, window: SearchWindow) -> F64:
             _, (_, back, _) = pair.sides(motions[start : start + POSES_BATCH])
             poses = back.T.astype(np.int64)
             cells = pair.reference.cells, pair.moving.cells
-            errors.append(pair.device.squared_error(*cells, poses, max(1, step // 2)))
+            errors.append(pair.device.grid_error(*cells, poses, max(1, step // 2))[:, 0])
         # Of equals the first.
         best = np.asarray(motions[int(np.argmin(np.concatenate(errors)))])
         if step == 1:

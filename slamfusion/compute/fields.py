@@ -249,24 +249,30 @@ class FieldDevice(ArrayDevice):
             out[k] = cells_at(host(cells), *fixed_cells(pose, x2, y2), fill)
         return out
 
-    def confusion(self, a: DeviceArray[np.int8], b: DeviceArray[np.int8], pose: I64) -> I64:
-        """Return (3, 3) joint counts of two trinary grids, of the second under a pose.
+    def grid_error(
+        self, a: DeviceArray[np.int8], b: DeviceArray[np.int8], poses: I64, stride: int = 1
+    ) -> I64:
+        """Compare two trinary grids in {-1, 0, 1} cell by cell, the second under each pose.
 
         Args:
             a: (H, W) int8. b: (h, w) int8; off it counts as unknown.
-            pose: (4,) fixed pose, lattice of ``a`` to that of ``b``.
+            poses: (P, 4) int64 fixed poses, lattice of ``a`` to that of ``b``.
+            stride: only every stride-th row and column of ``a`` counts.
 
         Returns:
-            (3, 3) int64; the indices are the values + 1.
+            (P, 2) int64: the [F16] squared error, and the cells that are known in both.
         """
         if self.opencl:
-            chunks = -(-a.shape[0] // COUNTED_ROWS)
+            n, chunks = len(poses), -(-a.shape[0] // (stride * COUNTED_ROWS))
             partial = self.opencl.launch_new(
-                (chunks, 9), np.int32, "confusion", (chunks,), a, *a.shape, b, *b.shape,
-                self.upload(pose), COUNTED_ROWS,
+                (n, chunks, 2), np.int32, "grid_error", (chunks, n), a, *a.shape, b, *b.shape,
+                self.upload(poses), n, stride, COUNTED_ROWS, chunks,
             )  # fmt: skip
-            return np.asarray(self.download(partial).sum(axis=0, dtype=np.int64)).reshape(3, 3)
-        height, width = a.shape
-        (warped,) = host(self.warp(b, pose[None], (height, width), UNKNOWN))
-        index = 3 * (host(a).astype(np.int64) + 1) + (warped + 1)
-        return np.bincount(index.ravel(), minlength=9).reshape(3, 3).astype(np.int64)
+            return np.asarray(self.download(partial).sum(axis=1, dtype=np.int64))
+        y2, x2 = 2 * np.indices(a.shape, dtype=np.int64)[:, ::stride, ::stride] + 1
+        own = host(a)[::stride, ::stride].astype(np.int64)
+        out = np.zeros((len(poses), 2), dtype=np.int64)
+        for p, pose in enumerate(poses):
+            other = cells_at(host(b), *fixed_cells(pose, x2, y2), UNKNOWN)
+            out[p] = np.sum((own - other) ** 2), np.sum((own >= 0) & (other >= 0))
+        return out

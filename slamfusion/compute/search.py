@@ -96,8 +96,8 @@ class FitSide(NamedTuple):
     distance: DeviceArray[np.uint16]
 
 
-# Points and rows that one work item sums; the host adds the sums.
-CHUNK_POINTS, CHUNK_SCORED, CHUNK_ROWS = 64, 512, 16
+# Points that one work item sums; the host adds the sums.
+CHUNK_POINTS, CHUNK_SCORED = 64, 512
 # Of a neighbour along each axis, and along x and y of the ``NEIGHBOURS``.
 STEPS = (0, -1, 1)
 NEIGHBOUR_STEPS = [(x, y) for x in STEPS for y in STEPS]
@@ -204,35 +204,6 @@ def _scores(
 
 class SearchDevice(ArrayDevice):
     """A device that scores motions."""
-
-    def squared_error(
-        self, a: DeviceArray[np.int8], b: DeviceArray[np.int8], poses: I64, stride: int
-    ) -> I64:
-        """Return the [F16] squared error of the moving grid under each pose.
-
-        Args:
-            a: (H, W) int8 reference in {-1, 0, 1}. b: (h, w) int8 moving; off it counts as unknown.
-            poses: (P, 4) int64 fixed poses, reference lattice to moving lattice.
-            stride: only every stride-th row and column of the reference counts.
-
-        Returns:
-            (P,) int64.
-        """
-        if self.opencl:
-            chunks = -(-a.shape[0] // (stride * CHUNK_ROWS))
-            partial = self.opencl.launch_new(
-                (len(poses), chunks), np.int32, "squared_error", (chunks, len(poses)), a, *a.shape,
-                b, *b.shape, self.upload(poses), len(poses), stride, CHUNK_ROWS, chunks,
-            )  # fmt: skip
-            return np.asarray(self.download(partial).sum(axis=1, dtype=np.int64))
-        a, b = host(a), host(b)
-        y2, x2 = 2 * np.indices(a.shape, dtype=np.int64)[:, ::stride, ::stride] + 1
-        own = a[::stride, ::stride].astype(np.int64)
-        out = np.zeros(len(poses), dtype=np.int64)
-        for p, pose in enumerate(poses):
-            other = cells_at(b, *fixed_cells(pose, x2, y2), UNKNOWN)
-            out[p] = np.sum((own - other) ** 2)
-        return out
 
     def best_shifts(
         self, ahead: ShiftedSide, back: ShiftedSide, shape: tuple[int, int]

@@ -91,18 +91,11 @@ def _warp(device: ComputeDevice, sample: Sample) -> Arrays:
     return fetch(device, [device.warp(device.upload(sample.cells), poses, (19, 23), -1)])
 
 
-def _confusion(device: ComputeDevice, sample: Sample) -> Arrays:
+def _grid_error(device: ComputeDevice, sample: Sample) -> Arrays:
     whole, other = sample.grids(2)
     a, b = device.upload(whole), device.upload(other.reshape(other.shape[::-1]))
     poses = fixed_poses([(0.0, 0.0, 0.0), *sample.motions])
-    return [device.confusion(a, b, pose) for pose in poses]
-
-
-def _squared_error(device: ComputeDevice, sample: Sample) -> Arrays:
-    whole, other = sample.grids(2)
-    a, b = device.upload(whole), device.upload(other[: -(-len(other) // 2)])
-    poses = fixed_poses(sample.motions)
-    return [device.squared_error(a, b, poses, stride) for stride in (1, 3)]
+    return [device.grid_error(a, b, poses, stride) for stride in (1, 3)]
 
 
 def _best_shifts(device: ComputeDevice, sample: Sample) -> Arrays:
@@ -288,8 +281,7 @@ GRID_CHECKS: dict[str, Check] = {
     "score_field": _score_field,
     "max_ahead": _max_ahead,
     "warp": _warp,
-    "confusion": _confusion,
-    "squared_error": _squared_error,
+    "grid_error": _grid_error,
     "best_shifts": _best_shifts,
     "bound_blocks": _bound_blocks,
     "pose_counts": _pose_counts,
