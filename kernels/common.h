@@ -29,6 +29,7 @@ INLINE int2 fixed_cell(const long4 pose, const int x2, const int y2) {
 #ifdef UNALIGNED_WORDS
 #define IN_LANES _Pragma("clang loop vectorize_width(16)")
 #define WORD(p, i) (((__global const ulong *)(p))[i])
+#define LOAD16(p) as_uchar16((ulong2)(WORD(p, 0), WORD(p, 1)))
 #define LOAD32(p) ((ulong4)(WORD(p, 0), WORD(p, 1), WORD(p, 2), WORD(p, 3)))
 INLINE void store32(const ulong4 words, __global ulong *to) {
   to[0] = words.x;
@@ -42,6 +43,7 @@ INLINE void store32(const ulong4 words, __global ulong *to) {
 #define HIGHER(a, b) ((a) > (b) ? (a) : (b))
 #else
 #define IN_LANES
+#define LOAD16(p) vload16(0, p)
 INLINE ulong4 load32(__global const uchar *p) {
   const uchar16 a = vload16(0, p), b = vload16(1, p);
   return (ulong4)(as_ulong2(a), as_ulong2(b));

@@ -145,7 +145,7 @@ __kernel void distance_columns(__global const uchar *walls, const int height, co
     return;
   }
   for (int row = 0; row < height; row++) {
-    const ushort16 wall = convert_ushort16(vload16(0, walls + row * width + col));
+    const ushort16 wall = convert_ushort16(LOAD16(walls + row * width + col));
     last = LOWER(last + (ushort16)1, (ushort16)DISTANCE_MAX);
     last *= (ushort16)1 - wall;
     STORE32(as_ulong4(last), out + row * stride + at);
@@ -176,13 +176,18 @@ __kernel void distance_rows(__global const ushort *columns, const int height, co
   __global const ushort *own = columns + row * (width + 2 * DISTANCE_MARGIN) + DISTANCE_MARGIN + col;
   ushort16 best = as_ushort16(LOAD32(own));
   best = LOWER(best * best, (ushort16)(reach * reach));
-  for (int k = 1; k < reach; k++) {
-    /* Nothing farther along the row can be nearer than the worst lane: look every eight steps. */
-    if ((k & 7) == 1 && !any_above(best, (ushort)(k * k))) break;
-    const ushort16 left = as_ushort16(LOAD32(own - k)), right = as_ushort16(LOAD32(own + k));
-    const ushort16 near = LOWER(left, right);
-    const ushort16 through = near * near + (ushort16)(k * k);
-    best = LOWER(best, through);
+  ushort16 offset2 = 0, next = 1;
+  /* Nothing farther along the row can be nearer than the worst lane: look every eight steps. */
+  for (int from = 1; from < reach && any_above(best, (ushort)(from * from)); from += 8) {
+#pragma unroll
+    for (int k = from; k < from + 8; k++) {
+      const ushort16 left = as_ushort16(LOAD32(own - k)), right = as_ushort16(LOAD32(own + k));
+      const ushort16 near = LOWER(left, right);
+      offset2 += next;
+      next += (ushort)2;
+      const ushort16 through = near * near + offset2;
+      best = LOWER(best, through);
+    }
   }
   STORE32(as_ulong4(best), out + row * width + col);
 }
