@@ -31,7 +31,7 @@ from slamfusion.compute.layout import (
     FACING_PARTS,
     FIELD_ONE,
 )
-from slamfusion.compute.wall_pieces import PointPieces
+from slamfusion.compute.wall_pieces import PointPieces, piece_points
 from slamfusion.geometry import F64, I8, I32, I64, U8, U16
 from slamfusion.io.files import available_memory, return_freed_memory
 
@@ -301,8 +301,7 @@ class GridFeatures:
         """Return at most ``most`` sampled surface walls by piece; half a cell in piece sides."""
         points, starts, _ = self._cut(per_half_cell, most)
         sides = self._facings()[points[:, 1] // 2, points[:, 0] // 2]
-        upload = self.device.upload
-        return PointPieces(upload(points), upload(starts), upload(sides))
+        return piece_points(points, sides, starts, self.device)
 
     @_kept
     def piece_lines(self, per_half_cell: float, most: int, width: float, apart: int) -> PieceLines:

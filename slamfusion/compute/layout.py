@@ -224,6 +224,8 @@ MARK_REACH_MAX: Final = 16
 # of a turn. 0: on none, or on several.
 FACES: Final = 128
 FACING_PARTS: Final = 128
+# Points of a piece of wall that are looked up together.
+PIECE_LANES: Final = 8
 # Walls whose free sides lie this number of parts apart, or more, were seen from opposite sides:
 # 112.5 degrees. At a corner, and where a wall is ragged, faces of one wall differ by up to a right
 # angle.

@@ -12,11 +12,11 @@ import numpy as np
 
 from slamfusion.compute.arrays import ArrayDevice, DeviceArray, host
 from slamfusion.compute.lattice import cells_at, fixed_cells
-from slamfusion.compute.layout import FACING_PARTS, OPPOSED_PARTS, RUN
+from slamfusion.compute.layout import FACING_PARTS, OPPOSED_PARTS, PIECE_LANES, RUN
 from slamfusion.geometry import B8, F64, I32, I64, U8
 
 
-def is_another(own: U8, other: U8, turn: int) -> B8:
+def is_another(own: U8 | I64, other: U8 | I64, turn: int) -> B8:
     """Return (N,) whether two walls were seen from opposite sides; 0 is an unknown facing.
 
     The own ones are turned by ``turn``, in parts of a turn.
@@ -30,14 +30,20 @@ class PointPieces(NamedTuple):
     """Points of a map on the device, piece by piece.
 
     Attributes:
-        points: (N, 2) int32 lattice positions, x and y in half cells.
+        points: (3, N + ``PIECE_LANES``) int32: x and y in half cells, and what each point faces
+            (see ``layout.FACES``); the last ones are read and do not count.
         starts: (B + 1,) int32 the first point of each piece, and N.
-        sides: (N,) uint8 what each point faces (see ``layout.FACES``).
     """
 
     points: DeviceArray[np.int32]
     starts: DeviceArray[np.int32]
-    sides: DeviceArray[np.uint8]
+
+
+def piece_points(points: I32, facing: U8, starts: I32, device: ArrayDevice) -> PointPieces:
+    """Bring points (N, 2) and what they face (N,), piece by piece, to the device."""
+    planes = np.zeros((3, len(points) + PIECE_LANES), np.int32)
+    planes[:2, : len(points)], planes[2, : len(points)] = points.T, facing
+    return PointPieces(device.upload(planes), device.upload(starts))
 
 
 class PieceSide(NamedTuple):
@@ -45,7 +51,7 @@ class PieceSide(NamedTuple):
 
     Attributes:
         pieces: of the one.
-        motions: (4, P) as of ``search.ScoredSide``, points to cells.
+        motions: (4, P) as of ``search.ScoredSide``, points to cells; they enlarge less than twice.
         words: (H, W) uint32 of the other, see ``piece_words``.
         base: worth of a cell that says nothing.
     """
@@ -113,12 +119,13 @@ class WallPieceDevice(ArrayDevice):
             return [_piece_sums(side, sided=sided) for side in sides]
         started = []
         for side in sides:
-            (points, starts, facing), _, words, base = side
+            (points, starts), _, words, base = side
             poses, turns = side.poses()
             pieces, n = starts.shape[0] - 1, len(poses)
             sums = self.opencl.launch_new(
-                (3, n, pieces), np.int32, "piece_sums", (n, pieces), points, starts, pieces, facing,
-                int(sided), self.upload(poses), self.upload(turns), n, words, *words.shape, base,
+                (3, n, pieces), np.int32, "piece_sums", (n, pieces), points, points.shape[1],
+                starts, pieces, int(sided), self.upload(poses), self.upload(turns), n, words,
+                *words.shape, base,
             )  # fmt: skip
             started.append(sums)
         return [self.download(sums) for sums in started]
@@ -126,17 +133,15 @@ class WallPieceDevice(ArrayDevice):
 
 def _piece_sums(side: PieceSide, *, sided: bool) -> I32:
     """Return what one side gives; see ``WallPieceDevice.piece_sums``."""
-    points, starts = host(side.pieces.points), host(side.pieces.starts)
-    words, (poses, turns) = host(side.words).astype(np.int64), side.poses()
-    sides, count = host(side.pieces.sides), len(starts) - 1
+    starts, words = host(side.pieces.starts), host(side.words).astype(np.int64)
+    (poses, turns), count = side.poses(), len(starts) - 1
     piece = np.repeat(np.arange(count), np.diff(starts))
     out = np.zeros((3, len(poses), count), dtype=np.int32)
-    x2, y2 = points.T.astype(np.int64)
+    x2, y2, sides = host(side.pieces.points)[:, : starts[-1]].astype(np.int64)
     for p, (pose, turn) in enumerate(zip(poses, turns, strict=True)):
         word = cells_at(words, *fixed_cells(pose, x2, y2), side.base)
         value = (word & 255) - side.base
-        facing = (word >> 24).astype(np.uint8)
-        tells = ~((value > 0) & sided & is_another(sides, facing, int(turn)))
+        tells = ~((value > 0) & sided & is_another(sides, word >> 24, int(turn)))
         # Whole numbers below 2^53 are exact in the float64 that bincount adds.
         for sums, part in zip(out, (value, word >> 16 & 255, word >> 8 & 1), strict=True):
             sums[p] = np.bincount(piece, part * tells, count)

@@ -25,7 +25,7 @@ from slamfusion.compute.layout import (
 )
 from slamfusion.compute.search import CountedSide, FitSide, ScoredSide, ShiftedSide
 from slamfusion.compute.votes import Votes
-from slamfusion.compute.wall_pieces import PieceSide, PointPieces
+from slamfusion.compute.wall_pieces import PieceSide, piece_points
 from slamfusion.geometry import F64
 from tests.kernels.checks.sample import Arrays, Check, Sample, fetch
 
@@ -187,7 +187,7 @@ def _piece_sums(device: ComputeDevice, sample: Sample) -> Arrays:
     # A piece of one point, one of none, a large one.
     starts = np.array([0, 1, 1, 90, 150], dtype=np.int32)
     facing = sample.rng.integers(0, 256, 150).astype(np.uint8)
-    pieces = PointPieces(*map(device.upload, (sample.points(150), starts, facing)))
+    pieces = piece_points(sample.points(150), facing, starts, device)
     side = PieceSide(pieces, motions, words, BASE)
     return [sums for sided in (True, False) for sums in device.piece_sums(side, sided=sided)]
 
