@@ -174,7 +174,7 @@ def best_answer(pair: Pair, found: SearchResult, chances: Chances) -> Answer:
         inside = np.arange(len(motions)) < found.candidates
 
     def answered(reading: Reading, pieces: WallPieces) -> Answer:
-        return _slid(pair, _answer(pair, motions, reading, pieces, inside, chances))
+        return _answer(pair, motions, reading, pieces, inside, chances)
 
     sided = weigh(pair, motions, "good")
     good = answered("good", sided)
@@ -214,7 +214,7 @@ def _answer(
     inside: B8 | None,
     chances: Chances,
 ) -> Answer:
-    """Return the best of the motions (P, 3) in the window, compared with all others.
+    """Return the best of the motions (P, 3) in the window, compared with all others, and slid.
 
     ``inside`` (P,) marks motions in the window, None: no window.
     """
@@ -243,7 +243,7 @@ def _answer(
         against["a pose away from the start"] = float(leads[is_away].min())
     if not is_away.all():
         against["another pose"] = float(leads[~is_away].min())
-    return Answer(
+    answer = Answer(
         reading,
         motions[best],
         motions[others],
@@ -255,6 +255,7 @@ def _answer(
         (chances.trials * (chances.prior if is_near else 1.0), chances.trials * START_WRONG),
         hit_share(pair, motions[best]) if reading == "bent" else 0.0,
     )
+    return _slid(pair, answer, own, pieces.most[best])
 
 
 def is_distinct(a: F64, b: F64, cells: float = DISTINCT_CELLS) -> bool:
@@ -263,21 +264,20 @@ def is_distinct(a: F64, b: F64, cells: float = DISTINCT_CELLS) -> bool:
     return shift > cells or turn > APART_RAD
 
 
-def _slid(pair: Pair, answer: Answer) -> Answer:
+def _slid(pair: Pair, answer: Answer, own: F64, seen: F64) -> Answer:
     """Compare an answer that beats all other hypotheses with shifts of itself.
 
+    ``own`` and ``seen`` (B,) are the evidence of its pieces, and the most that they could have.
     Parallel walls hold an answer across them and leave it free along them, where only the ends of
     the common ground contradict a slide.
     """
     if not answer.is_accepted:
         return answer
-    motions = np.concatenate((answer.motion[None], slides(pair, answer.motion, answer.reading)))
-    pieces = weigh(pair, motions, answer.reading)
-    own, seen = pieces.weighed[0], pieces.most[0]
-    unseen = np.maximum(seen - pieces.most[1:], 0.0) / np.maximum(seen, 1e-9)
+    shifted = weigh(pair, slides(pair, answer.motion, answer.reading), answer.reading)
+    unseen = np.maximum(seen - shifted.most, 0.0) / np.maximum(seen, 1e-9)
     typical = float((seen * seen).sum() / max(float(seen.sum()), 1e-9))
-    lost = own - pieces.weighed[1:] - unseen * own
-    least = float(pieces.count(lost, SLIDE_NOISE * typical**2).min())
+    lost = own - shifted.weighed - unseen * own
+    least = float(shifted.count(lost, SLIDE_NOISE * typical**2).min())
     return replace(answer, against=answer.against | {"a shift of itself": least})
 
 
@@ -334,7 +334,7 @@ def best_image(
     if reading is None:
         return best_answer(image, SearchResult(motions, coarse, "full"), Chances(trials))
     pieces = weigh(image, motions, reading)
-    return _slid(image, _answer(image, motions, reading, pieces, None, Chances(trials)))
+    return _answer(image, motions, reading, pieces, None, Chances(trials))
 
 
 def mirror_gain(pair: Pair, motion: F64, config: AlignConfig) -> float | None:
