@@ -23,8 +23,9 @@ import scipy
 
 from slamfusion.geometry import F64, I32, I64
 
-# Pairs of pieces that are compared at once: they fit into the processor's cache.
-COMPARED = 1 << 17
+# Pairs of pieces that are compared at once: they fit into the processor's cache, and of larger
+# products the threads of BLAS only wait for each other.
+COMPARED = 1 << 16
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,27 +74,28 @@ class PieceLines:
         count, apart = len(self.squares), self.apart
         middles, across, straight = self.walls
         (x, y), (to_x, to_y) = middles.T, across.T
-        # Which pieces lie near the line of each; farther off it is less than a hundredth.
-        is_on = np.empty((count, count), dtype=np.bool_)
-        points = np.stack((x, y, to_x, to_y, to_x * x + to_y * y)).astype(np.float32)
+        # Which pieces lie near each other's lines; farther off it is less than a hundredth.
+        places = np.column_stack((x, y, np.ones(count))).astype(np.float32)
+        lines = np.column_stack((to_x, to_y, -to_x * x - to_y * y)).astype(np.float32)
+        is_near = np.empty((count, count), dtype=np.bool_)
         some = max(1, COMPARED // max(1, count))
         for first in range(0, count, some):
             own = slice(first, first + some)
-            # Products of such thin matrices only make the threads of BLAS wait.
-            off = points[2, own, None] * points[0] + points[3, own, None] * points[1]
-            off -= points[4, own, None]
-            np.less(np.abs(off, out=off), 6.1 * self.width, out=is_on[own])
-        is_near = is_on & is_on.T
+            here, there = (
+                np.abs(one[own] @ other.T) < 6.1 * self.width
+                for one, other in ((lines, places), (places, lines))
+            )
+            np.logical_and(here, there, out=is_near[own])
         # And the neighbours, found by their squares, with a margin of squares without a piece.
         col, row = (self.squares - self.squares.min(axis=0, initial=0) + apart).T
-        piece_at = np.full(
-            (col.max(initial=0) + apart + 1, row.max(initial=0) + apart + 1), -1, np.int32
-        )
+        shape = col.max(initial=0) + apart + 1, row.max(initial=0) + apart + 1
+        piece_at = np.full(shape, -1, np.int32)
         piece_at[col, row] = np.arange(count)
         steps = np.arange(1 - apart, apart)
-        others = piece_at[col[:, None, None] + steps[:, None], row[:, None, None] + steps]
-        found = np.nonzero(others >= 0)
-        is_near[found[0], others[found]] = True
+        around = (steps[:, None] * shape[1] + steps).ravel()
+        others = piece_at.ravel()[(col * shape[1] + row)[:, None] + around]
+        a, place = np.divmod(np.flatnonzero(others >= 0), len(around))
+        is_near[a, others[a, place]] = True
         a, b = np.divmod(np.flatnonzero(is_near), max(1, count))
         shares = 1.0 - np.arange(apart + 1) / apart
         near = shares[np.minimum(np.abs(col[a] - col[b]), apart)]
