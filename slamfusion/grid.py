@@ -176,8 +176,9 @@ def trinary_cells(cells: I8, thresholds: NormalizeConfig) -> I8:
     given, classes = cells.ravel(), np.empty(cells.size, dtype=np.int8)
     for first in range(0, cells.size, PART_CELLS):
         some, out = (array[first : first + PART_CELLS] for array in (given, classes))
-        is_free = (some >= 0) & (some <= most_free)
-        is_occupied = (some >= 0) & (some >= least_occupied)
+        # Without a sign unknown cells are the greatest.
+        is_free = some.view(np.uint8) <= most_free
+        is_occupied = some >= least_occupied
         np.subtract(is_occupied.view(np.int8), ~(is_occupied | is_free), out=out, casting="unsafe")
     return classes.reshape(cells.shape)
 

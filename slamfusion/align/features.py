@@ -358,15 +358,21 @@ def _without_rims(grid: NormalizedGrid) -> NormalizedGrid:
     Only of a map that fades from its walls to free space; other maps are returned as they are.
     """
     around = np.ones((3, 3), dtype=np.uint8)
-    free, solid = (grid.cells == 0).view(np.uint8), grid.solid != 0
-    beside_free = cv2.dilate(free, around) != 0
-    rims = (grid.cells < 0) & beside_free & (cv2.dilate(solid.view(np.uint8), around) != 0)
+
+    def grown(mask: U8) -> U8:
+        return np.asarray(cv2.dilate(mask, around), dtype=np.uint8)
+
+    free, unknown = (grid.cells == 0).view(np.uint8), (grid.cells < 0).view(np.uint8)
+    beside_free = grown(free)
+    rims = unknown & beside_free & grown(grid.solid)
     if not rims.any():
         return grid
-    cleared = cv2.dilate(free | rims.view(np.uint8), around) != 0
-    if np.count_nonzero(solid & cleared) <= SOFT_GAIN * np.count_nonzero(solid & beside_free):
+    before, after = (
+        np.count_nonzero(grid.solid & near) for near in (beside_free, grown(free | rims))
+    )
+    if after <= SOFT_GAIN * before:
         return grid
-    return replace(grid, cells=np.where(rims, np.int8(0), grid.cells))
+    return replace(grid, cells=np.where(rims != 0, np.int8(0), grid.cells))
 
 
 def facings(cells: I8, resolution: float) -> U8:

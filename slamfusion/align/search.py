@@ -222,10 +222,13 @@ def _descend(pair: Pair, leads: _Leads) -> _Leads:
 
 def greatest_rows(values: F64, most: int) -> npt.NDArray[np.intp]:
     """Return the indices of the greatest values, greatest first, the earlier of equals first."""
-    chosen = np.arange(len(values))
-    if len(values) > most > 0:
-        place = len(values) - most
-        chosen = np.nonzero(values >= np.partition(values, place)[place])[0]
+    # Mostly there are enough above 0: a part of all.
+    chosen = np.flatnonzero(values > 0.0)
+    if len(chosen) < most:
+        chosen = np.arange(len(values))
+    if len(chosen) > most > 0:
+        some, place = values[chosen], len(chosen) - most
+        chosen = chosen[some >= np.partition(some, place)[place]]
     return chosen[np.argsort(-values[chosen], kind="stable")][:most]
 
 

@@ -77,13 +77,13 @@ def point_planes(points: I32, device: ArrayDevice) -> PointPlanes:
     """Bring points (N, 2), x and y in half cells, to the device, about their middle."""
     count = len(points)
     planes = np.zeros((2, -(-count // POINT_LANES) * POINT_LANES), np.int32)
-    middle = np.zeros((2, 1), np.int32)
-    if count:
-        middle[:, 0] = (points.min(axis=0) + points.max(axis=0)) // 2
-        planes[:, :count] = points.T - middle
-    x, y = middle[:, 0].tolist()
-    reach = int(np.abs(planes).max(axis=1, initial=0).sum())
-    return PointPlanes(device.upload(planes), count, (x, y), reach)
+    own = planes[:, :count]
+    own[:] = points.T
+    low, high = (own.min(axis=1), own.max(axis=1)) if count else np.zeros((2, 2), np.int32)
+    middle = (low + high) // 2
+    own -= middle[:, None]
+    x, y = middle.tolist()
+    return PointPlanes(device.upload(planes), count, (x, y), int((high - middle).sum()))
 
 
 def narrow_motions(points: PointPlanes, motions: F64) -> tuple[F64, int]:
