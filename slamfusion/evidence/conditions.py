@@ -9,13 +9,11 @@ from slamfusion.evidence.displacement import CONTRADICTED, EXPLAINED, REACH_M, f
 from slamfusion.evidence.parting import path_spans
 from slamfusion.evidence.predictive import PathEvidence
 from slamfusion.evidence.recommendation import undecided
-from slamfusion.slam.common.odometry_check import contradictions
+from slamfusion.slam.common.odometry_check import LEAST_STEPS, contradictions
 from slamfusion.trajectory import Trajectory
 
 Condition: TypeAlias = Literal["odometry", "new place", "doubled walls", "undecided"]
 CONDITIONS: tuple[Condition, ...] = get_args(Condition)
-# Odometry is compared with the path over this last time, seconds.
-RECENT_S = 30.0
 
 
 def drive_conditions(evidence: PathEvidence, name: str) -> Mapping[Condition, str]:
@@ -24,9 +22,9 @@ def drive_conditions(evidence: PathEvidence, name: str) -> Mapping[Condition, st
     path = Trajectory(scans.stamps_s[score.is_own], score.poses[score.is_own], name)
     found: dict[Condition, str] = {}
     if scans.odometry is not None:
-        recent = scans.stamps_s >= scans.stamps_s[-1] - RECENT_S
-        wheels = Trajectory(scans.stamps_s[recent], scans.odometry[recent], "odometry")
-        if text := "; ".join(contradictions(wheels, path)):
+        wheels = Trajectory(scans.stamps_s, scans.odometry, "odometry")
+        # However long ago they were, the newest steps are the evidence.
+        if text := "; ".join(contradictions(wheels, path, newest=2 * LEAST_STEPS)):
             found["odometry"] = text
     # If no scan contradicts the path, the robot is on it.
     others = [other for other in evidence.scores if other != name]

@@ -72,9 +72,10 @@ def test_frozen_odometry(drive: tuple[list[LogScan], Trajectory], device: Comput
 def test_odometry_that_contradicts_the_scans(
     device: ComputeDevice, change: tuple[float, float, float], words: str
 ) -> None:
-    turn = np.linspace(0.0, 12.0 * np.pi, 144)
+    """Also long after the robot has stopped."""
+    turn = np.append(np.linspace(0.0, 12.0 * np.pi, 144), np.full(160, 12.0 * np.pi))
     poses = (1.8 + 0.8 * np.cos(turn), 3.0 + 0.8 * np.sin(turn), turn + np.pi / 2)
-    path = Trajectory(np.arange(0.0, 36.0, 0.25), np.array(poses, dtype=np.float64).T)
+    path = Trajectory(np.arange(0.0, 76.0, 0.25), np.array(poses, dtype=np.float64).T)
     scans = recorded(path)
     steps = compose_poses(invert_poses(path.poses[:-1]), path.poses[1:]) * change
     wheels = [*itertools.accumulate(steps, compose_poses, initial=path.poses[0])]

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import numpy as np
 import pytest
 
-from slamfusion.geometry import Pose2, compose_poses
+from slamfusion.geometry import Pose2, compose_poses, invert_poses
 from slamfusion.slam.common.odometry_check import (
     contradictions,
     fit_odometry,
@@ -107,3 +108,25 @@ def test_only_the_mounting_of_the_laser_is_its_fault() -> None:
     assert laser_fault(PATH, PATH) is None
     assert laser_fault(course(length=0.8), PATH) is None
     assert laser_fault(None, PATH) is None
+
+
+@pytest.mark.parametrize(("wrong", "words"), [(slice(0, 400), ""), (slice(450, 600), "mirrored")])
+def test_the_newest_steps_decide(wrong: slice, words: str) -> None:
+    """A fault that is repaired is not named any more, and one that comes late is."""
+    steps = compose_poses(invert_poses(PATH.poses[:-1]), PATH.poses[1:])
+    steps[wrong, 2] *= -1.0
+    rows = [*itertools.accumulate(steps, compose_poses, initial=PATH.poses[0])]
+    found = "; ".join(contradictions(Trajectory(PATH.stamps_s, np.array(rows)), PATH, newest=20))
+    assert words in found
+    assert bool(words) == bool(found)
+
+
+def test_odometry_that_drives_on_for_as_many_steps_is_not_frozen_any_more() -> None:
+    poses = PATH.poses.copy()
+    poses[200:300] = poses[200]
+    poses[300:, :2] += PATH.poses[200, :2] - PATH.poses[300, :2]
+    odometry = Trajectory(PATH.stamps_s, poses)
+    for last, named in ((380, True), (600, False)):
+        until = Trajectory(PATH.stamps_s[:last], odometry.poses[:last])
+        found = "".join(contradictions(until, PATH, newest=20))
+        assert ("stands still from 20 s" in found) == named

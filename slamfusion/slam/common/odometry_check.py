@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slamfusion.geometry import F64, compose_poses, invert_poses, wrap_angles
+from slamfusion.geometry import F64, compose_poses, invert_poses, travelled, wrap_angles
 from slamfusion.trajectory import Trajectory, flag_runs
 
 # Distance of the path, metres, at constant odometry: more than the noise of scan matching, less
@@ -61,20 +61,28 @@ class OdometryFit:
     drives_together: float
 
 
-def fit_odometry(odometry: Trajectory, path: Trajectory) -> OdometryFit:
-    """Compare the steps of a path with those of raw odometry."""
+def fit_odometry(
+    odometry: Trajectory, path: Trajectory, *, newest: int | None = None
+) -> OdometryFit:
+    """Compare the steps of a path with those of raw odometry.
+
+    newest: number of turning and of driving steps that are compared, the last ones; None: all.
+    """
     steps = _steps(odometry, path)
-    wheels, scans = steps[:, 0], steps[:, 1]
-    turning = np.abs(wheels[:, 2]) >= TURNING_RAD
+    turning = np.flatnonzero(np.abs(steps[:, 0, 2]) >= TURNING_RAD)
+    moving = np.flatnonzero(np.hypot(steps[..., 0], steps[..., 1]).max(axis=1) >= DRIVING_M)
+    if newest is not None:
+        turning, moving = turning[-newest:], moving[-newest:]
     turn, turns_together = None, 0.0
-    if np.count_nonzero(turning) >= LEAST_STEPS:
-        ratios = scans[turning, 2] / wheels[turning, 2]
+    if len(turning) >= LEAST_STEPS:
+        ratios = steps[turning, 1, 2] / steps[turning, 0, 2]
         turn = float(np.median(ratios))
         turns_together = float((np.abs(ratios - turn) <= SPREAD).mean())
+    if len(moving) < LEAST_STEPS:
+        return OdometryFit(turn, None, None, turns_together, 0.0)
+    steps = steps[moving]
     lengths = np.hypot(steps[..., 0], steps[..., 1])
     driving = lengths.min(axis=1) >= DRIVING_M
-    if np.count_nonzero(lengths.max(axis=1) >= DRIVING_M) < LEAST_STEPS:
-        return OdometryFit(turn, None, None, turns_together, 0.0)
     if not driving.any():
         return OdometryFit(turn, None, 0.0, turns_together, 0.0)
     # On an arc the robot drives where it looks half-way.
@@ -88,8 +96,9 @@ def fit_odometry(odometry: Trajectory, path: Trajectory) -> OdometryFit:
     is_near = (np.abs(wrap_angles(askew - offset)) <= SPREAD) & (
         np.abs(ratios - length) <= SPREAD * length
     )
-    together = np.count_nonzero(is_near) / np.count_nonzero(lengths.max(axis=1) >= DRIVING_M)
-    return OdometryFit(turn, offset, length, turns_together, float(together))
+    return OdometryFit(
+        turn, offset, length, turns_together, np.count_nonzero(is_near) / len(moving)
+    )
 
 
 def _steps(odometry: Trajectory, path: Trajectory) -> F64:
@@ -104,10 +113,15 @@ def _steps(odometry: Trajectory, path: Trajectory) -> F64:
     return compose_poses(invert_poses(both[starts]), both[ends])
 
 
-def contradictions(odometry: Trajectory, path: Trajectory) -> Iterator[str]:
-    """Yield a sentence for each way in which raw odometry and a path contradict each other."""
+def contradictions(
+    odometry: Trajectory, path: Trajectory, *, newest: int | None = None
+) -> Iterator[str]:
+    """Yield a sentence for each way in which raw odometry and a path contradict each other.
+
+    newest: see ``fit_odometry``; odometry that has driven as many steps is not frozen any more.
+    """
     began_s = float(path.stamps_s[0])
-    span = frozen_span(odometry, path)
+    span = frozen_span(odometry, path, math.inf if newest is None else newest * STEP)
     if span is not None:
         yield (
             f"the odometry stands still from {span[0] - began_s:.0f} s to "
@@ -115,7 +129,7 @@ def contradictions(odometry: Trajectory, path: Trajectory) -> Iterator[str]:
             "encoder or topic; give other odometry, or none"
         )
         return
-    fit = fit_odometry(odometry, path)
+    fit = fit_odometry(odometry, path, newest=newest)
     if fit.turn is not None and fit.turns_together < TOGETHER:
         yield (
             f"the path turns unlike the odometry ({100 * fit.turns_together:.0f} % of the turns "
@@ -176,12 +190,20 @@ def _laser_faults(fit: OdometryFit) -> Iterator[str]:
         )
 
 
-def frozen_span(odometry: Trajectory, path: Trajectory) -> tuple[float, float] | None:
-    """Return (from, to) in seconds of the longest time in which only raw odometry stands still."""
+def frozen_span(
+    odometry: Trajectory, path: Trajectory, driven_m: float = math.inf
+) -> tuple[float, float] | None:
+    """Return (from, to) in seconds of the longest time in which only raw odometry stands still.
+
+    driven_m: the most that it has driven since.
+    """
+    odometer_m = travelled(odometry.poses)
     stands = np.asarray((np.abs(np.diff(odometry.poses, axis=0)) < STANDS).all(axis=1))
     longest: tuple[float, float] | None = None
     for here in flag_runs(stands):
         from_s, to_s = float(odometry.stamps_s[here.start]), float(odometry.stamps_s[here.stop])
+        if odometer_m[-1] - odometer_m[here.stop] > driven_m:
+            continue
         if longest is not None and to_s - from_s <= longest[1] - longest[0]:
             continue
         during = (path.stamps_s >= from_s) & (path.stamps_s <= to_s)
