@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Literal, TypeAlias, get_args
 
-from slamfusion.evidence.displacement import CONTRADICTED, EXPLAINED, REACH_M, find_contradiction
+from slamfusion.evidence.displacement import CONTRADICTED, REACH_M, find_contradiction
 from slamfusion.evidence.parting import path_spans
 from slamfusion.evidence.predictive import PathEvidence
 from slamfusion.evidence.recommendation import undecided
@@ -30,16 +30,16 @@ def drive_conditions(evidence: PathEvidence, name: str) -> Mapping[Condition, st
     others = [other for other in evidence.scores if other != name]
     broken = find_contradiction(evidence, name)
     if broken is not None and all(find_contradiction(evidence, other) for other in others):
-        since = f"since stamp {scans.stamps_s[0] + broken.since_s:.0f} s"
+        seen = (
+            f"since stamp {scans.stamps_s[0] + broken.since_s:.0f} s {broken.share:.0%} of what "
+            "the robot sees was free space before"
+        )
         if broken.moved_share > CONTRADICTED:  # nothing near it fits
-            found["new place"] = (
-                f"{since} {broken.share:.0%} of what the robot sees was free space before: it was "
-                "carried away, or is on another floor"
-            )
-        elif broken.moved_share < (1.0 - EXPLAINED) * broken.share:
+            found["new place"] = f"{seen}: it was carried away, or is on another floor"
+        else:  # another floor may have walls so close
             found["doubled walls"] = (
-                f"{since} {broken.share:.0%} of the walls that the robot sees again are drawn "
-                f"twice, at most {REACH_M:g} m apart: every input has drifted"
+                f"{seen}, and half or more fits if moved by up to {REACH_M:g} m: every input has "
+                "drifted, or the robot is on another floor"
             )
     spans = {other: path_spans(evidence, other, name) for other in others}
     if all(own[-1].agrees for own in spans.values()):

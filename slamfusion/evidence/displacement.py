@@ -39,8 +39,6 @@ from slamfusion.trajectory import Trajectory
 
 # If more of the seen walls were free space before, the robot is elsewhere.
 CONTRADICTED = 0.5
-# The best place explains up to a fifth of such hits by chance, a third if walls are drawn twice.
-EXPLAINED = 0.25
 # The fewest hits for a contradiction.
 LEAST_ASKED = 200
 
