@@ -21,12 +21,13 @@ from slamfusion.jobs import outputs
 from slamfusion.jobs.inputs import LIKE_PAPER, GivenMaps, PixelSizes, device_for
 from slamfusion.jobs.records import Circumstances
 
+# Left out of the name of the maps that are written.
+OUT_ENDS = {".yaml", ".yml", ".pgm", ".png", outputs.STORE_END}
+
 
 def _files(out: Path, given: Mapping[str, Any]) -> list[Path]:
     """Return what may be written: also the maps of groups that may be found."""
-    stems = outputs.group_stems(
-        stem_of(out, {".yaml", ".yml", outputs.STORE_END}), len(given["maps"]) // 2
-    )
+    stems = outputs.group_stems(stem_of(out, OUT_ENDS), len(given["maps"]) // 2)
     maps = [f"{stem}{end}" for stem in stems for end in ("", outputs.AGREEMENT_END)]
     return [
         outputs.record_file(stems[0]),
@@ -125,7 +126,7 @@ def command(
         if not output.print_if_json(failed) and error.pairs:
             tables.print_pairs(error.pairs, device.name)
         raise
-    stem = stem_of(out, {".yaml", ".yml", outputs.STORE_END})
+    stem = stem_of(out, OUT_ENDS)
     document = (
         fused.document()
         if store

@@ -36,6 +36,7 @@ CASES: dict[str, Case] = {
         "01-plan.png",
         "--report .",
     ),
+    "a map by its picture": ("fuse a.yaml b.yaml -o a.pgm", "a.yaml", "-o a.pgm"),
     "a map beside a store": ("fuse a.yaml b.yaml -o a.zarr", "a.yaml", "-o a.zarr"),
     "a table": ("fuse a.yaml b.yaml -o x --config t.csv --table t.csv", "t.csv", "--table t.csv"),
     "a map of a run": ("run d.log --inputs mine.yaml -o run", "run/fused.pgm", "-o run"),
