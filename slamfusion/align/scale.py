@@ -39,6 +39,8 @@ RANKED_CELL_M, TRIED_CELL_M = 0.2, 0.1
 TRIED, TRIED_SHARE = 4, 0.5
 # Wall points of each map in the search for the best scale.
 POINTS = 4096
+# The scales around that of an alignment among which the best is found; ``piece_sums`` allows no 2.
+NEARBY = (1.0 / 1.5, 1.5)
 # Rounds of alignment at a better scale, the change at which they end, and the last step as a share
 # of the width of a wall.
 ROUNDS, SETTLED_WITHIN, LAST_STEP = 4, 0.002, 1.0 / 16.0
@@ -195,6 +197,7 @@ def best_scale(pair: Pair, motion: F64) -> float:
     at, step = np.array([*motion, 1.0]), 1.0
     while step >= LAST_STEP:
         near = at + around * step * np.array([sigma, sigma, sigma / reach, sigma / reach])
+        near[:, 3] = near[:, 3].clip(*NEARBY)
         scales = np.ascontiguousarray(near[:, 3])
         best = int(walls_found(pair, near[:, :3], sigma, scales, POINTS).argmax())
         at = near[best]
