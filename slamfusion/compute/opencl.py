@@ -74,7 +74,6 @@ LOCAL_SIZES = {1: (CLIMBERS,), 2: (16, 4), 3: (1, 4, 1)}
 MOST_TABLES = 64
 # By how much an array that is copied to more memory may grow before the next copy.
 GROWTH = 1.5
-_LIBC = ctypes.CDLL(None)
 
 
 @dataclass(frozen=True)
@@ -214,7 +213,7 @@ class OpenCLDevice(ComputeDevice):
         return OpenCLArray(buffer, (count, *array.shape[1:]), array.dtype)
 
     def _paged(self, shape: tuple[int, ...], dtype: np.dtype[Any]) -> OpenCLArray[Any]:
-        """Reserve an array that begins with a page of the host, if it uses its memory."""
+        """Reserve an array; on the host's memory it starts at a page."""
         if not self.shares_memory:
             return self.empty(shape, dtype)
         size = math.prod(shape) * dtype.itemsize
@@ -230,13 +229,16 @@ class OpenCLDevice(ComputeDevice):
         return cl.enqueue_map_buffer(self.queue, buffer, flags, 0, array.shape, array.dtype)[0]
 
     def discard_rows(self, array: DeviceArray[Any], rows: I64) -> None:
-        """Return the memory of rows, (K,) rising, if it is the host's; they become undefined."""
+        """Return pages of rows, (K,) rising, to the system if the host's; then undefined."""
         if not (self.shares_memory and len(rows)):
             return
-        mapped = self._mapped(array)
+        mapped, page, advise = self._mapped(array), mmap.PAGESIZE, ctypes.CDLL(None).madvise
         address, size = mapped.__array_interface__["data"][0], mapped.strides[0]
         for run in np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1):
-            _discard_pages(address + int(run[0]) * size, address + int(run[-1] + 1) * size)
+            first, end = address + int(run[0]) * size, address + int(run[-1] + 1) * size
+            first, end = -(-first // page) * page, end // page * page
+            if first < end:
+                advise(ctypes.c_void_p(first), ctypes.c_size_t(end - first), mmap.MADV_DONTNEED)
         mapped.base.release(self.queue)
 
     def copy_rows(self, source: DeviceArray[Any], target: OpenCLArray[Any]) -> None:
@@ -349,13 +351,6 @@ class OpenCLDevice(ComputeDevice):
     def _failed(self, what: str, error: Exception) -> DeviceError:
         words = " ".join(str(error).split())[:200]
         return DeviceError(f"{self.name}: {what} failed ({words}); try `--device numpy`")
-
-
-def _discard_pages(first: int, end: int) -> None:
-    """Return the whole pages between two addresses to the system; they become undefined."""
-    first, end = -(-first // mmap.PAGESIZE) * mmap.PAGESIZE, end // mmap.PAGESIZE * mmap.PAGESIZE
-    if first < end:
-        _LIBC.madvise(ctypes.c_void_p(first), ctypes.c_size_t(end - first), mmap.MADV_DONTNEED)
 
 
 def _number_type(item: Any) -> Any:

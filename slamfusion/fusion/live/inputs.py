@@ -330,11 +330,14 @@ class Input:
         return features
 
     def release(self) -> bool:
-        """Release the features if the next alignment is likely to need those of another map."""
-        had_features = self._features is not None
-        if self.is_drawn:
+        """Release the features if the next alignment is likely to need those of another map.
+
+        Returns whether there were any.
+        """
+        is_released = self.is_drawn and self._features is not None
+        if is_released:
             self._features = None
-        return had_features and self.is_drawn
+        return is_released
 
     def apart(self, a: Pose2, b: Pose2) -> tuple[float, float, float]:
         """Return the difference of two transforms of this map: centre m, turn rad, corners m."""
