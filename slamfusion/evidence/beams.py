@@ -49,6 +49,7 @@ class JudgedScans:
         chunks: (N,) int64, the chunk of each scan, 0 to ``CHUNKS`` - 1, never falling.
         odometry: (N, 3) float64, pose of the robot's base in the odometry frame at each scan,
             metres and radians; None where a scan has none.
+        driven: the odometry at the stamps of these scans and of others in between; None without.
         lasers: (N, 2) float64, the laser of each scan in the robot's base frame, metres.
         hits: (B, 2) float64, ends of the judged beams in the robot's base frame, metres.
         facings_rad: (B,) float64, the direction that the surface faces that each hit, in the
@@ -59,6 +60,7 @@ class JudgedScans:
     stamps_s: F64
     chunks: I64
     odometry: F64 | None
+    driven: Trajectory | None
     lasers: F64
     hits: F64
     facings_rad: F64
@@ -66,12 +68,6 @@ class JudgedScans:
 
     def __len__(self) -> int:
         return len(self.stamps_s)
-
-    def odometry_path(self) -> Trajectory | None:
-        """Return the odometry as a path; None where there is none."""
-        if self.odometry is None:
-            return None
-        return Trajectory(self.stamps_s, self.odometry, "odometry")
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,10 +110,13 @@ def judged_scans(scans: Iterable[LogScan]) -> JudgedScans:
     return judged_hits(scan_hits(scans))
 
 
-def judged_hits(scans: Iterable[ScanHits], most_hits: int = MOST_HITS) -> JudgedScans:
+def judged_hits(
+    scans: Iterable[ScanHits], most_hits: int = MOST_HITS, driven: Trajectory | None = None
+) -> JudgedScans:
     """Choose the hits on which paths of a drive are scored, at most ``most_hits``.
 
-    If there are more, every second, fourth, ... hit of each scan is kept.
+    If there are more, every second, fourth, ... hit of each scan is kept. ``driven`` is the
+    odometry of the drive; None: these scans have all of it.
 
     Raises:
         LogError: fewer scans with a hit than there are chunks.
@@ -143,10 +142,17 @@ def judged_hits(scans: Iterable[ScanHits], most_hits: int = MOST_HITS) -> Judged
             "a longer log"
         )
     hits = np.concatenate(kept)
+    stamps_s = np.array(stamps)
+    at_scans = np.array(odometry) if len(odometry) == len(kept) else None
+    if at_scans is None:
+        driven = None
+    elif driven is None:
+        driven = Trajectory(stamps_s, at_scans, "odometry")
     return JudgedScans(
-        stamps_s=np.array(stamps),
+        stamps_s=stamps_s,
         chunks=np.arange(len(kept), dtype=np.int64) * CHUNKS // len(kept),
-        odometry=np.array(odometry) if len(odometry) == len(kept) else None,
+        odometry=at_scans,
+        driven=driven,
         lasers=np.array(lasers),
         hits=hits[:, :2],
         facings_rad=hits[:, 2],
@@ -230,7 +236,7 @@ def cover_stamps(path: Trajectory, scans: JudgedScans) -> tuple[F64, B8]:
     is_between = (after > 0) & (after < len(path))
     after = np.minimum(after, len(path) - 1)
     gap = np.flatnonzero(~is_own)
-    if scans.odometry is None:
+    if scans.odometry is None or scans.driven is None:
         wide_s = path.stamps_s[after[gap]] - path.stamps_s[before[gap]]
         gap = gap[is_between[gap] & (wide_s <= BETWEEN_S)]
         poses[gap] = blend_poses(
@@ -240,9 +246,10 @@ def cover_stamps(path: Trajectory, scans: JudgedScans) -> tuple[F64, B8]:
         )
     else:
         # Beyond its ends the odometry of the end.
-        later = np.clip(np.searchsorted(stamps_s, path.stamps_s), 1, count - 1)
-        share = _shares(stamps_s, later - 1, later, path.stamps_s)
-        there = blend_poses(scans.odometry[later - 1], scans.odometry[later], share)
+        driven = scans.driven
+        later = np.clip(np.searchsorted(driven.stamps_s, path.stamps_s), 1, len(driven) - 1)
+        share = _shares(driven.stamps_s, later - 1, later, path.stamps_s)
+        there = blend_poses(driven.poses[later - 1], driven.poses[later], share)
         onward = _carried(path.poses[before[gap]], there[before[gap]], scans.odometry[gap])
         backward = _carried(path.poses[after[gap]], there[after[gap]], scans.odometry[gap])
         share = _shares(path.stamps_s, before[gap], after[gap], stamps_s[gap])

@@ -167,7 +167,7 @@ def judge_paths(
     scans = judged_scans(source)
     for sentence in (*source.skips.sentences(), *source.warnings.sentences(), *source.notes):
         warn(f"{log}: {sentence}")
-    wheels = scans.odometry_path()
+    wheels = scans.driven
     offset = config.trajectory.time_offset
     read = {name: replace(on_clock(path, wheels, offset), name=name) for name, path in read.items()}
     evidence = score_paths(scans, read, device)

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import math
 import threading
+from array import array
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -166,6 +167,9 @@ class LiveDrive:
         self._poses: dict[str, list[list[float]]] = {}
         # Stamps of the last scans, with those that are dropped.
         self._heard_s: deque[float] = deque(maxlen=MOST_SCANS)
+        # Stamp, x, y and yaw of the odometry of all scans: an input's path may have poses at those
+        # that are dropped. 32 bytes a scan.
+        self._driven = array("d")
         # Stamps of the scans with too few hits for a pose.
         self._blind_s: list[float] = []
         self._solved = 0
@@ -206,6 +210,8 @@ class LiveDrive:
                     return
                 self._scans.clear()
             self._scans.append(hits)
+            if hits.odometry is not None:
+                self._driven.extend((hits.stamp_s, *row_of(hits.odometry)))
             if len(self._scans) > MOST_SCANS:
                 self._thin_out()
 
@@ -241,6 +247,7 @@ class LiveDrive:
             self._poses.clear()
             self._heard_s.clear()
             self._blind_s.clear()
+            del self._driven[:]
             self.solution = self._grown = None
             self._located, self._corrections = [], {}
 
@@ -310,7 +317,7 @@ class LiveDrive:
         """Drop every second scan before the window, and the poses that belong to none."""
         stamps_s = np.array([kept.stamp_s for kept in self._scans])
         old = int(np.searchsorted(stamps_s, stamps_s[-1] - WINDOW_S))
-        old = max(old, MOST_SCANS // 2)
+        old = max(min(old, len(stamps_s) - LEAST_SCANS), MOST_SCANS // 2)
         self._scans = self._scans[:old:2] + self._scans[old:]
         kept_s = np.array([kept.stamp_s for kept in self._scans])
         after = np.searchsorted(kept_s[:-1], self._blind_s)
@@ -348,9 +355,11 @@ class LiveDrive:
             kept = list(self._scans)
             poses = {name: np.array(own) for name, own in self._poses.items() if own}
             heard_s, blind_s = np.unique(self._heard_s), np.array(self._blind_s)
+            rows = np.array(self._driven).reshape(-1, 4)
         if len(kept) < CHUNKS:
             return None
-        scans = judged_hits(kept, beams.MOST_HITS if depth == "final" else MOST_HITS)
+        driven = Trajectory(rows[:, 0], rows[:, 1:], "odometry") if len(rows) else None
+        scans = judged_hits(kept, beams.MOST_HITS if depth == "final" else MOST_HITS, driven)
         paths = self._at_scans(scans, poses, heard_s)
         last = self._path if depth == "window" else None
         try:
