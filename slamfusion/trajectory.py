@@ -85,6 +85,19 @@ class Trajectory:
         """Return the same path, later by some seconds."""
         return replace(self, stamps_s=self.stamps_s + seconds)
 
+    def at_most(self, most: int) -> Trajectory:
+        """Return the same path with at most this number of poses.
+
+        A quarter are the newest, the others are chosen evenly of the older, with the first: all
+        chosen evenly, the newest poses of a long path would be far apart.
+        """
+        count, newest = len(self), most // 4
+        if count <= most:
+            return self
+        older = np.linspace(0, count - newest - 1, most - newest).round().astype(np.int64)
+        kept = np.concatenate((older, np.arange(count - newest, count)))
+        return replace(self, stamps_s=self.stamps_s[kept], poses=self.poses[kept])
+
     def moved(self, transform: Pose2) -> Trajectory:
         """Return the same path in another frame; ``transform`` maps points into it, metres."""
         return replace(self, poses=moved_poses(transform, self.poses))

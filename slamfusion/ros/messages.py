@@ -154,29 +154,27 @@ def _row_of_path(frame_size: int) -> np.dtype[Any]:
 def path_to_bytes(
     trajectory: Trajectory, frame_id: str, stamp: Time, most: int = PATH_POSES
 ) -> bytes:
-    """Return a serialized nav_msgs/Path with at most ``most`` poses, evenly chosen, with the ends.
+    """Return a serialized nav_msgs/Path with at most ``most`` poses; see ``Trajectory.at_most``.
 
     As messages 5000 poses would take 50 ms to make, and 90 ms to read.
     """
-    chosen = np.arange(len(trajectory))
-    if len(chosen) > most:
-        chosen = np.unique(np.linspace(0, len(trajectory) - 1, most).round().astype(np.int64))
-    stamps_s = trajectory.stamps_s[chosen].tolist()
+    trajectory = trajectory.at_most(most)
+    count, stamps_s = len(trajectory), trajectory.stamps_s.tolist()
     header = Header(frame_id=frame_id, stamp=stamp)
     first = [
-        pose_to_message(trajectory.pose(int(n)), frame_id, to_stamp(stamps_s[0]))
-        for n in chosen[:1]
+        pose_to_message(trajectory.pose(n), frame_id, to_stamp(stamps_s[0]))
+        for n in range(min(count, 1))
     ]
     start = bytearray(serialize_message(Path(header=header, poses=first)))
     frame = np.frombuffer(frame_id.encode() + b"\0", dtype=np.uint8)
-    rows = np.zeros(max(len(chosen) - 1, 0), dtype=_row_of_path(len(frame)))
+    rows = np.zeros(max(count - 1, 0), dtype=_row_of_path(len(frame)))
     if len(rows):
         count_at = -(-(16 + len(frame)) // 4) * 4
-        start[count_at : count_at + 4] = len(chosen).to_bytes(4, "little")
+        start[count_at : count_at + 4] = count.to_bytes(4, "little")
         stamps = [to_ns(stamp_s) for stamp_s in stamps_s[1:]]
         rows["sec"], rows["nanosec"] = np.divmod(np.array(stamps, dtype=np.int64), NS)
         rows["size"], rows["frame"] = len(frame), frame
-        poses = trajectory.poses[chosen[1:]]
+        poses = trajectory.poses[1:]
         rows["pose"][:, :2] = poses[:, :2]
         halves = (0.5 * poses[:, 2]).tolist()
         rows["pose"][:, 5] = [*map(math.sin, halves)]

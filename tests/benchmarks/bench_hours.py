@@ -115,9 +115,8 @@ def produce(kind: str, log: Path, seconds: float, answers: Connection) -> None:
         made = session.read_map(is_path_heard=True, is_paused=False)
         assert made is not None
         assert made.trajectory is not None
-        grid, path = session.draw(made), made.trajectory
-        kept = np.unique(np.linspace(0, len(path) - 1, PATH_POSES).round().astype(int))
-        path = Trajectory(path.stamps_s[kept], path.poses[kept], kind)
+        grid = session.draw(made)
+        path = replace(made.trajectory.at_most(PATH_POSES), name=kind)
         trim.look(chunk[-1][1].scan.stamp_s)
         spent_s = time.process_time() - before_s
         answers.send(Chunk(poses, path, grid.with_name(kind), spent_s, slowest_s, resident_mb()))
