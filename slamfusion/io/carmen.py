@@ -70,7 +70,6 @@ NO_POSE_YET = "laser before odometry"
 NO_BEAMS = "scan without beams"
 NO_SCAN = "angles or ranges that cannot be a scan"
 
-_DEFAULT_CONFIG = LogConfig()
 # Above every range of a log whose readings are all real.
 _ABOVE_LARGEST = 1.001
 _FALLBACK_RANGE_M = 100.0
@@ -95,7 +94,7 @@ class CarmenLog(ScanLog):
     def __init__(
         self,
         path: str | Path,
-        config: LogConfig = _DEFAULT_CONFIG,
+        config: LogConfig = LogConfig(),
         scan_odometry: str | Path | None = None,
     ) -> None:
         super().__init__(path, config)

@@ -27,8 +27,6 @@ T = TypeVar("T")
 # No robot is farther from the origin of its frame; beyond, sums of poses lose their centimetres.
 FARTHEST_M = 1e9
 
-_DEFAULT_CONFIG = LogConfig()
-
 # Largest distance in time to a known pose for interpolation, seconds.
 REACH_S = 0.5
 LINES_KEPT = 5
@@ -127,7 +125,7 @@ class Continuity:
         self,
         skips: Skips,
         warnings: Skips,
-        config: LogConfig = _DEFAULT_CONFIG,
+        config: LogConfig = LogConfig(),
         track: Track | None = None,
     ) -> None:
         self.deskewer = Deskewer(config)

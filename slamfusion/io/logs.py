@@ -20,8 +20,6 @@ from slamfusion.io.lines import read_head, strip_gz
 from slamfusion.io.log import ScanLog
 from slamfusion.io.tinyslam_dat import FIELDS, TinySlamDat
 
-_DEFAULT_CONFIG = LogConfig()
-
 Reader = Callable[[Path, LogConfig], ScanLog]
 
 
@@ -52,7 +50,7 @@ _NO_TEXT = bytes(set(range(32)) - set(b"\t\n\f\r"))
 
 
 def open_log(
-    path: str | Path, config: LogConfig = _DEFAULT_CONFIG, scan_odometry: str | Path | None = None
+    path: str | Path, config: LogConfig = LogConfig(), scan_odometry: str | Path | None = None
 ) -> ScanLog:
     """Open a log or bag.
 

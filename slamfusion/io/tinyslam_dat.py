@@ -20,8 +20,6 @@ from slamfusion.geometry import F64, Pose2, wrap_angle
 from slamfusion.io.log import FARTHEST_M, NOT_NUMBERS, BadLineError, LogScan, ScanLog, parsed_lines
 from slamfusion.scan import LaserScan
 
-_DEFAULT_CONFIG = LogConfig()
-
 FIELDS = 707
 _BEAMS = slice(24, 706)
 _METRES_PER_TICK = 2.0 * math.pi * 0.077 / 2000.0
@@ -52,7 +50,7 @@ class TinySlamDat(ScanLog):
         LogError: no line of the file is a scan.
     """
 
-    def __init__(self, path: str | Path, config: LogConfig = _DEFAULT_CONFIG) -> None:
+    def __init__(self, path: str | Path, config: LogConfig = LogConfig()) -> None:
         super().__init__(path, config)
         self.notes.append(f"{_HIDDEN} beams at each side are left out: the robot's body hides them")
         self._range_max_m = config.no_return_m or _RANGE_MAX_M

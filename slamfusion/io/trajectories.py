@@ -22,8 +22,6 @@ from slamfusion.io.logs import BAG_SUFFIXES, bag_at, open_log
 from slamfusion.io.tinyslam_dat import FIELDS
 from slamfusion.trajectory import Trajectory
 
-_DEFAULT_CONFIG = LogConfig()
-
 _LOGGER = logging.getLogger(__name__)
 
 # Times since 1970 have 10 digits in seconds, 13, 16 or 19 in thousandths of the unit before.
@@ -45,7 +43,7 @@ Row = tuple[float, float, float, float]
 
 def read_trajectory(
     path: str | Path,
-    config: LogConfig = _DEFAULT_CONFIG,
+    config: LogConfig = LogConfig(),
     pose_topic: str | None = None,
     warn: Callable[[str], None] = _LOGGER.warning,
 ) -> Trajectory:

@@ -20,8 +20,6 @@ from slamfusion.io.log import LogScan, ScanLog
 from slamfusion.io.transforms import TILT_MAX_RAD, Mount
 from slamfusion.scan import LaserScan
 
-_DEFAULT_CONFIG = LogConfig()
-
 # A larger tilt of the laser gives a note.
 _TILT_NOTED_RAD = math.radians(5.0)
 
@@ -87,7 +85,7 @@ class BagLog(ScanLog):
             or frame, or ``rosbags`` is not installed.
     """
 
-    def __init__(self, path: str | Path, config: LogConfig = _DEFAULT_CONFIG) -> None:
+    def __init__(self, path: str | Path, config: LogConfig = LogConfig()) -> None:
         super().__init__(path, config)
         self._mounts: dict[str, Mount] = {}
         with open_bag(self.path, self.notes) as bag:
