@@ -150,7 +150,7 @@ def _compare(grids: Sequence[OccupancyGrid], config: RunConfig) -> None:
         return
     rows, notes = [], []
     for record, item in zip(result.inputs, items, strict=True):
-        share, bent = item.vote.agreement, item.vote.bent
+        share, bent = item.agreement, item.bent
         rows.append(
             [
                 record.name,

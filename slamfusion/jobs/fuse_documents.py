@@ -35,24 +35,17 @@ class Evaluation(MapError):  # noqa: N818  (a measure, no exception)
     """The alignment with the truth; null: the map was taken as it lies."""
 
 
-@dataclass(frozen=True)
-class InputVote:
-    """How an input votes, and how well its walls agree with those of the others."""
+@dataclass(frozen=True, kw_only=True)
+class FusedInput:
+    """An input of a fusion; where it was not aligned with the reference, without numbers."""
 
+    alignment: Alignment | None = field(default=None, metadata=flat_or_null(Alignment))
     agreement: float | None = None
     """Share of its walls that agree with the other maps, 0 to 1; null: nothing to compare."""
     weight: float = 0.0
     """Of its vote in all, 0 to 1; less or more where its walls agree less or more."""
     bent: Bent | None = None
     """Where it agrees least, if it is bent; null: it agrees with the others."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class FusedInput:
-    """An input of a fusion; where it was not aligned with the reference, without numbers."""
-
-    alignment: Alignment | None = field(default=None, metadata=flat_or_null(Alignment))
-    vote: InputVote = field(default=InputVote(), metadata=FLAT)
     name: str
     """The input."""
     reference: str | None = None
@@ -65,16 +58,13 @@ class FusedInput:
     @classmethod
     def of(cls, record: InputRecord, result: Fusion) -> FusedInput:
         """Describe an input: its alignment, its vote, and the outcome."""
-        vote = InputVote(
-            result.wall_agreement.get(record.name),
-            result.weights.get(record.name, 0.0),
-            result.bent.get(record.name),
-        )
         found = record.alignment
         return cls(
             # Strong, fair or weak is an input that votes.
             alignment=None if found is None else replace(found, accepted=record.accepted),
-            vote=vote,
+            agreement=result.wall_agreement.get(record.name),
+            weight=result.weights.get(record.name, 0.0),
+            bent=result.bent.get(record.name),
             name=record.name,
             reference=result.reference if found is None else found.reference,
             accepted=record.accepted,
