@@ -23,14 +23,16 @@ from slamfusion.jobs.inputs import RUN_DEFAULTS
 from slamfusion.jobs.outputs import FAILED, FUSED, PAGE, REPORT, possible_outputs, possible_report
 from slamfusion.jobs.records import Settings, number
 
-# Columns of the table of SLAMs, and their number without --verbose.
+# Columns of the table of SLAMs, and their number without --verbose; the errors with their figures
+# and digits.
+ERRORS = {
+    "ATE rmse [m]": ("ate_rmse_m", 3),
+    "relations mean [m]": ("relations_mean_m", 4),
+    "map error": ("error", 1),
+    "wall F1": ("wall_f1", 3),
+}
 COLUMNS = (
-    "SLAM ",
-    "votes",
-    "ATE rmse [m]",
-    "relations mean [m]",
-    "map error",
-    "wall F1",
+    *("SLAM ", "votes", *ERRORS),
     "time [s]",
     "scan mean [ms]",
     "scan 95 % [ms]",
@@ -239,8 +241,9 @@ def _print_tables(run: jobs.run_files.LogRun) -> None:
 
 def _print_slams(run: jobs.run_files.LogRun) -> None:
     """Print a row for each SLAM, saved path and fused result: its vote, its errors, its effort."""
-    errors = {item.name: item for item in run.evaluations}
-    measures = {name: own.measures for name, own in run.paths.items()}
+    figures: dict[str, dict[str, float | None]] = {
+        name: {**own.measures.figures()} for name, own in run.paths.items()
+    }
     notes = {item.name: f"NO MAP: {item.failed}" for item in run.failed}
     made = run.results
     names = [item.name for item in run.producers]
@@ -250,22 +253,13 @@ def _print_slams(run: jobs.run_files.LogRun) -> None:
         votes |= {item.name: "yes" for item in run.usable.accepted} | {FUSED: "-"}
         notes |= {record.name: record.reason for record in run.usable.rejected}
         if run.fused_path is not None:
-            measures[FUSED] = run.fused_path.measures
+            figures[FUSED] = {**run.fused_path.measures.figures()}
+    for item in run.evaluations:
+        figures.setdefault(item.name, {}).update(evaluation.measured.map_figures(item))
     rows = []
     for name, vote in votes.items():
-        truth, relations = (
-            (own := measures.get(name, evaluation.measured.Measures())).truth,
-            own.relations,
-        )
-        error = errors.get(name)
-        row = [
-            name,
-            vote,
-            number(None if truth is None else truth.ate.rmse, 3),
-            number(None if relations is None else relations.translation.mean, 4),
-            number(None if error is None else error.error, 1),
-            number(None if error is None else error.wall_f1),
-        ]
+        own = figures.get(name, {})
+        row = [name, vote, *(number(own.get(key), digits) for key, digits in ERRORS.values())]
         if name in made:
             own_run = made[name].run
             ms = own_run.time_per_scan_ms
