@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import click
 
@@ -21,10 +19,6 @@ from slamfusion.jobs.cases import CaseFile, case_names, known_files, measured_in
 from slamfusion.jobs.inputs import device_for
 from slamfusion.jobs.outputs import PAGE
 from slamfusion.jobs.records import number
-
-
-def _report_folders(folder: Path, given: Mapping[str, Any]) -> list[Path]:
-    return case_folders(folder, (given["log"], *given["more_logs"]))
 
 
 @click.command(
@@ -51,7 +45,9 @@ def _report_folders(folder: Path, given: Mapping[str, Any]) -> list[Path]:
     metavar="FILE.tum",
     help="Fuse the paths into one, as `run` does, rank it with them, and write it to this file.",
 )
-@options.report("report_dir", _report_folders)
+@options.report(
+    "report_dir", lambda folder, given: case_folders(folder, (given["log"], *given["more_logs"]))
+)
 @options.settings("log", "trajectory", "report", "device", "")
 @options.common
 @results.results_option
@@ -89,10 +85,9 @@ def command(
     device = device_for(config)
     found: dict[str, jobs.judge.JudgedPaths] = {}
     several = len(cases) > 1
-    with output.progress_bar() if several else contextlib.nullcontext() as progress:
+    with output.progress_bar() as progress:
         for (case, files), own_log in zip(known.items(), logs, strict=True):
-            if progress is not None:
-                progress("judge", len(found), len(cases))
+            progress("judge", len(found), len(cases))
             found[case] = jobs.judge.judge_paths(
                 own_log.path,
                 {item.name: item.path for item in placed if item.case == case},

@@ -17,7 +17,7 @@ from slamfusion.cli.output import one_line, print_if_json, print_table, settings
 from slamfusion.errors import SlamFusionError
 
 if TYPE_CHECKING:
-    from slamfusion.jobs.records import LiveAnswerDocument, LiveLineJson, LiveStatusDocument
+    from slamfusion.jobs.records import LiveAnswerDocument, LiveStatusDocument
 
 # Of an input's figures, those that the table has.
 SHOWN = ("score", "overlap", "age [s]", "rate [Hz]")
@@ -95,12 +95,9 @@ def watch_command(client: Any) -> None:
                 now = line["level"], "".join(c for c in line["message"] if not c.isdigit())
                 if printed.get(line["name"]) != now:
                     printed[line["name"]] = now
-                    print(json.dumps(line) if settings().as_json else _words(line), flush=True)
-
-
-def _words(line: LiveLineJson) -> str:
-    mark = "" if line["level"] == "ok" else f"{line['level'].upper()} "
-    return one_line(f"{line['name']}: {mark}{line['message']}")
+                    mark = "" if line["level"] == "ok" else f"{line['level'].upper()} "
+                    words = one_line(f"{line['name']}: {mark}{line['message']}")
+                    print(json.dumps(line) if settings().as_json else words, flush=True)
 
 
 @command.command("save")

@@ -287,19 +287,14 @@ def _click_option(option: ConfigOption) -> Callable[[Any], Any]:
     if info.kind is not bool and (info.is_list or not info.choices):
         word = info.unit or info.kind.__name__
         more["metavar"] = METAVARS.get(word, word.upper())
-    help_text = info.help[0].upper() + info.help[1:] + "." + _default_help(option)
+    help_text = info.help[0].upper() + info.help[1:] + "."
+    if option.default not in {None, ()}:
+        published = f"; published {shown_value(option.published)}" * (option.published is not None)
+        help_text += f" [default: {option.shown_default()}{published}]"
     return click.option(
         name, option.parameter, cls=Setting, section=option.section, default=None, help=help_text,
         **more,
     )  # fmt: skip
-
-
-def _default_help(option: ConfigOption) -> str:
-    """Return the default in brackets; of a profile's field also the published value."""
-    if option.default in (None, ()):
-        return ""
-    published = "" if option.published is None else f"; published {shown_value(option.published)}"
-    return f" [default: {option.shown_default()}{published}]"
 
 
 def _override(config: RunConfig, given: Sequence[tuple[ConfigOption, Any]]) -> RunConfig:
@@ -326,9 +321,6 @@ def _override(config: RunConfig, given: Sequence[tuple[ConfigOption, Any]]) -> R
         raise click.BadParameter(text) from None
 
 
-# --- --scheduler ----------------------------------------------------------------------------------
-
-
 def scheduler(tasks: str) -> Callable[[F], F]:
     """Return the option ``--scheduler`` of a command."""
 
@@ -351,9 +343,6 @@ def scheduler(tasks: str) -> Callable[[F], F]:
     )
 
 
-# --- --seeds --------------------------------------------------------------------------------------
-
-
 def seeds(places: str) -> Callable[[F], F]:
     """Return the option ``--seeds`` of a command; ``places`` says where the results go."""
 
@@ -373,9 +362,6 @@ def seeds(places: str) -> Callable[[F], F]:
         metavar="0-9",
         help=f"Run with each of these seeds (0-9 or 1,2,5) and compare them: {places}.",
     )
-
-
-# --- --start --------------------------------------------------------------------------------------
 
 
 # What ``--start`` gave: names with 3 or 5 numbers each.

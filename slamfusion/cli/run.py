@@ -172,7 +172,9 @@ def command(
         config = options.with_starts(config, starts)
         if len(logs) > 1 or seeds:
             if len(logs) > 1:
-                _refuse_files_of_one_log(config, asked)
+                for name, option in OF_ONE_LOG.items():
+                    options.refuse(asked[name], ALONE.format(option))
+                options.refuse(config.start, ALONE.format("--start"))
             _run_several(
                 jobs.run_many.log_tasks(logs, out, seeds, probabilities=probabilities),
                 out,
@@ -303,6 +305,7 @@ def _print_details(run: jobs.run_files.LogRun) -> None:
 # --- several logs ---------------------------------------------------------------------------------
 
 
+ALONE = "{} belongs to one log; run each log that needs it alone"
 # What belongs to one log, by the argument of ``run_log``.
 OF_ONE_LOG = {
     "saved_paths": "--paths",
@@ -312,13 +315,6 @@ OF_ONE_LOG = {
     "odometry": "--odometry",
     "scan_odometry": "--scan-odometry",
 }
-
-
-def _refuse_files_of_one_log(config: RunConfig, asked: Mapping[str, Any]) -> None:
-    for name, option in OF_ONE_LOG.items():
-        message = f"{option} belongs to one log; run each log that has such a file alone"
-        options.refuse(asked[name], message)
-    options.refuse(config.start, "--start belongs to one log; run each log that needs it alone")
 
 
 def _inputs(logs: Sequence[Path], asked: Mapping[str, Any]) -> list[tuple[str, str, Path]]:
