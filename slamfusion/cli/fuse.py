@@ -30,7 +30,7 @@ def _files(out: Path, given: Mapping[str, Any]) -> list[Path]:
     stems = outputs.group_stems(stem_of(out, OUT_ENDS), len(given["maps"]) // 2)
     maps = [f"{stem}{end}" for stem in stems for end in ("", outputs.AGREEMENT_END)]
     return [
-        outputs.record_file(stems[0]),
+        Path(f"{stems[0]}.json"),
         *(file for name in maps for file in outputs.map_files(Path(name), "pgm", "png")),
     ]
 

@@ -24,7 +24,7 @@ from slamfusion.fusion.pipeline import align_inputs
 from slamfusion.grid import OCCUPIED, OccupancyGrid
 from slamfusion.io import AtomicFiles, save_map, write_atomic
 from slamfusion.io.map_store import MapStore, check_store, read_stored_map
-from slamfusion.jobs import outputs
+from slamfusion.jobs import inputs, outputs
 from slamfusion.jobs.evaluate import evaluate_maps
 from slamfusion.jobs.fuse_documents import (
     DoubledWalls,
@@ -33,18 +33,6 @@ from slamfusion.jobs.fuse_documents import (
     FuseDocument,
     FusionRecord,
     agreement_stem,
-)
-from slamfusion.jobs.inputs import (
-    NO_FILES,
-    GivenMaps,
-    MapInput,
-    PixelSizes,
-    Progress,
-    Warn,
-    device_for,
-    load_maps,
-    load_truth,
-    log_warning,
 )
 from slamfusion.jobs.records import Circumstances, record_bytes
 from slamfusion.vote.tiles import TILE
@@ -91,7 +79,7 @@ class FusedMaps:
     result: FusionResult | StoredFusion
     doubled: DoubledWalls | None
     evaluations: tuple[Evaluation, ...] = ()
-    given: GivenMaps = NO_FILES
+    given: inputs.GivenMaps = inputs.NO_FILES
     stores: tuple[Path, ...] = ()
     stems: tuple[Path | None, ...] = ()
 
@@ -139,17 +127,17 @@ class FusedMaps:
 
 
 def fuse_maps(
-    maps: Sequence[MapInput],
+    maps: Sequence[inputs.MapInput],
     config: RunConfig | None = None,
     device: ComputeDevice | None = None,
     *,
-    truth: MapInput | None = None,
-    scale: PixelSizes | None = None,
+    truth: inputs.MapInput | None = None,
+    scale: inputs.PixelSizes | None = None,
     resolution: float | None = None,
     store: str | Path | None = None,
     executor: Executor | None = None,
-    progress: Progress | None = None,
-    warn: Warn = log_warning,
+    progress: inputs.Progress | None = None,
+    warn: inputs.Warn = inputs.log_warning,
 ) -> FusedMaps:
     """Align maps of one place and fuse them by vote.
 
@@ -184,14 +172,14 @@ def fuse_maps(
     if store is not None:
         for path in group_stores(Path(store), len(maps) // 2):
             check_store(path)
-    grids = load_maps(maps, config, resolution=resolution, warn=warn)
-    given = GivenMaps.of(maps, resolution)
+    grids = inputs.load_maps(maps, config, resolution=resolution, warn=warn)
+    given = inputs.GivenMaps.of(maps, resolution)
     names = [grid.name for grid in grids]
     starts = place_starts(config.start, names, config.fusion.reference)
     true_grid = None
     if truth is not None:
-        true_grid = load_truth(truth, config, resolution=resolution, scale=scale, warn=warn)
-    device = device_for(config, device)
+        true_grid = inputs.load_truth(truth, config, resolution=resolution, scale=scale, warn=warn)
+    device = inputs.device_for(config, device)
     try:
         if store is not None:
             return _fuse_into(Path(store), grids, config, device, starts, given, executor, progress)
@@ -221,9 +209,9 @@ def _fuse_into(
     config: RunConfig,
     device: ComputeDevice,
     starts: Starts,
-    given: GivenMaps,
+    given: inputs.GivenMaps,
     executor: Executor | None,
-    progress: Progress | None,
+    progress: inputs.Progress | None,
 ) -> FusedMaps:
     """Fuse maps tile by tile into a store; in memory are the inputs and a few tiles."""
     began_s, fusion = time.perf_counter(), config.fusion
@@ -274,7 +262,7 @@ def _fuse_into(
     whole = replace(results[0], pairs=aligned.pairs, others=tuple(results[1:]), time_s=time_s)
     fused = FusedMaps(config, whole, None, (), given, stores, stems)
     if stems[0] is not None:
-        write_atomic(outputs.record_file(stems[0]), record_bytes(fused.document()))
+        write_atomic(Path(f"{stems[0]}.json"), record_bytes(fused.document()))
     return fused
 
 
@@ -319,7 +307,7 @@ def save_fused_maps(
         if folder is not None:
             write_fusion_report(fused, folder)
             files.remove(*outputs.report_files(folder / outputs.FAILED))
-        write_atomic(outputs.record_file(stem), record_bytes(document))
+        write_atomic(Path(f"{stem}.json"), record_bytes(document))
     if folder is not None:
         outputs.remove_empty(folder / outputs.FAILED)
     return document

@@ -81,11 +81,6 @@ def group_stems(stem: Path, count: int) -> list[Path]:
     return [stem, *(stem.with_name(f"{stem.name}-{number}") for number in range(2, count + 1))]
 
 
-def record_file(stem: Path) -> Path:
-    """Return the record of the fusion of a map, of which the path without suffix is given."""
-    return stem.with_name(f"{stem.name}.json")
-
-
 def map_files(stem: Path, *image_formats: str) -> list[Path]:
     """Return the files of a map, without suffix: its YAML and its picture."""
     suffixes = (".yaml", *(f".{form}" for form in image_formats or ("pgm",)))
