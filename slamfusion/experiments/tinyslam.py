@@ -13,7 +13,6 @@ from typing import cast, get_args
 
 import pandas as pd
 
-from slamfusion.compute import ComputeDevice
 from slamfusion.config import CellModel, OccupancyEstimator, RunConfig
 from slamfusion.errors import LogError
 from slamfusion.evaluation.measured import GroundTruth, Row, figure_of, result_rows
@@ -22,7 +21,7 @@ from slamfusion.experiments.runs import Inputs, RunResult, Setup, Tell, run_all
 from slamfusion.io import LogScan, open_log, read_trajectory
 from slamfusion.io.lines import strip_gz
 from slamfusion.jobs.compare import SIGNIFICANT
-from slamfusion.jobs.inputs import LogFiles, Progress
+from slamfusion.jobs.inputs import LogFiles
 from slamfusion.jobs.records import p_text
 from slamfusion.sim import named_course, simulate
 from slamfusion.slam.common.mapper import Mapper
@@ -216,13 +215,6 @@ def read_drive(files: LogFiles, config: RunConfig) -> Drive:
     return Drive(Path(strip_gz(path.name)).stem, scans, ground_truth, odometry)
 
 
-def simulated_office(seed: int, device: ComputeDevice, progress: Progress | None = None) -> Drive:
-    """Simulate a drive through every room of an office floor with a Hokuyo."""
-    course = replace(named_course("office", seed), name=f"office-{seed}")
-    recording = simulate(course, device, progress)
-    return Drive(course.name, recording.scans, GroundTruth(truth=recording.truth))
-
-
 def run_on_drives(
     plan: Callable[[str], Sequence[DriveRun]],
     make: Callable[[DriveRun], Mapper],
@@ -231,13 +223,16 @@ def run_on_drives(
     setup: Setup,
 ) -> list[Row]:
     """Run producers on recorded drives and simulated office floors; return the rows of all runs."""
-    config, device = setup.config, setup.device
+    config = setup.config
     drives: list[Drive] = []
     for files in recorded:
         drive = read_drive(files, config)
         twins = sum(other.name.split("#")[0] == drive.name for other in drives)
         drives.append(replace(drive, name=f"{drive.name}#{twins + 1}") if twins else drive)
-    drives += [simulated_office(seed, device, setup.progress) for seed in range(1, floors + 1)]
+    for seed in range(1, floors + 1):
+        course = replace(named_course("office", seed), name=f"office-{seed}")
+        recording = simulate(course, setup.device, setup.progress)
+        drives.append(Drive(course.name, recording.scans, GroundTruth(truth=recording.truth)))
     by_name = {drive.name: drive for drive in drives}
 
     def work(run: DriveRun, _: RunConfig, tell: Tell) -> RunResult:

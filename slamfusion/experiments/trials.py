@@ -322,7 +322,9 @@ def kidnap(scans: Scans) -> tuple[LogScan, ...]:
     ]
     if before.odometry is not None and after.odometry is not None:
         back = before.odometry.compose(after.odometry.inverse())
-        moved = [_at(item, back.compose) for item in moved]
+        moved = [
+            replace(item, odometry=item.odometry and back.compose(item.odometry)) for item in moved
+        ]
     return (*scans[:first], *moved)
 
 
@@ -355,10 +357,6 @@ def _upside_down(item: LogScan) -> LogScan:
     scan = item.scan
     first, step = -scan.angle_min_rad, -scan.angle_increment_rad
     return replace(item, scan=replace(scan, angle_min_rad=first, angle_increment_rad=step))
-
-
-def _at(item: LogScan, move: Callable[[Pose2], Pose2]) -> LogScan:
-    return item if item.odometry is None else replace(item, odometry=move(item.odometry))
 
 
 FAULTS: dict[str, Callable[[Scans], tuple[LogScan, ...]]] = {

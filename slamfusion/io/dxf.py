@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -58,11 +57,11 @@ def read_dxf(path: Path, resolution: float | None) -> tuple[I8, float, tuple[flo
     except (OSError, DXFError, ValueError) as error:
         raise MapFileError(f"{path} cannot be read as a DXF drawing: {error}") from error
     shown = [entity for entity in recursive_decompose(drawing.modelspace()) if _is_built(entity)]
-    boxes = [corner for one in to_primitives(shown) for corner in _corners(one)]
+    boxes = [box for one in to_primitives(shown) if (box := one.bbox()).has_data]
     if not boxes:
         message = f"{path}: no lines in the model space of the drawing; export it as DXF with them"
         raise MapFileError(message)
-    corners = np.array(boxes)
+    corners = np.array([(end.x, end.y) for box in boxes for end in (box.extmin, box.extmax)])
     lowest, sides = corners.min(axis=0), np.ptp(corners, axis=0)
     cell = resolution or CELL_M
     if not unit:
@@ -87,10 +86,3 @@ def _is_built(entity: Any) -> bool:
     layer = entity.doc.layers
     name = entity.dxf.layer
     return name not in layer or not (layer.get(name).is_off() or layer.get(name).is_frozen())
-
-
-def _corners(primitive: Any) -> Iterator[tuple[float, float]]:
-    box = primitive.bbox()
-    if box.has_data:
-        for corner in (box.extmin, box.extmax):
-            yield corner.x, corner.y

@@ -212,7 +212,10 @@ class AtomicFiles:
             for folder in reversed(missing):
                 folder.mkdir(exist_ok=True)
                 self._made_folders.append(folder)
-            mode = _mode_of_regular(target)
+            mode = target.stat().st_mode if target.exists() else None
+            if mode is not None and not stat.S_ISREG(mode):
+                what = "a folder" if stat.S_ISDIR(mode) else "a device or pipe"
+                raise ValueError(f"it is {what}, not a regular file")  # noqa: TRY301
             temporary = target.parent / f".slamfusion-{secrets.token_hex(8)}.tmp"
             self._targets[temporary] = target
             with temporary.open("xb") as file:
@@ -221,7 +224,7 @@ class AtomicFiles:
                 file.flush()
                 os.fsync(file.fileno())
             if mode is not None:
-                temporary.chmod(mode)
+                temporary.chmod(stat.S_IMODE(mode))
         except (OSError, ValueError) as error:
             raise _cannot_write(path, error) from None
 
@@ -280,18 +283,6 @@ def write_atomic(path: str | Path, data: bytes | bytearray | memoryview) -> None
     """Write one file atomically; see ``AtomicFiles``."""
     with AtomicFiles() as files:
         files.add(path, data)
-
-
-def _mode_of_regular(target: Path) -> int | None:
-    """Return the permissions of the file to replace, or None; refuse a device, pipe or folder."""
-    try:
-        mode = target.stat().st_mode
-    except FileNotFoundError:
-        return None
-    if not stat.S_ISREG(mode):
-        what = "a folder" if stat.S_ISDIR(mode) else "a device or pipe"
-        raise ValueError(f"it is {what}, not a regular file")
-    return stat.S_IMODE(mode)
 
 
 def _cannot_write(path: str | Path | None, error: OSError | ValueError) -> MapFileError:
