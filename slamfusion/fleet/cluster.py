@@ -172,10 +172,7 @@ def _facts(wanted: str) -> tuple[str, str]:
 
 
 def _do_alone(function: Callable[..., Result], *arguments: Any) -> Result:
-    """Do a task when no other one is done in this process.
-
-    Workers of a cluster are daemons as a rule, which may start no processes; a task may.
-    """
+    """Do a task alone in this process, which is no daemon: a task may start processes."""
     with _ALONE:
         multiprocessing.current_process().daemon = False
         return function(*arguments)

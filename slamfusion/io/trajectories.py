@@ -98,10 +98,7 @@ def read_trajectory(
 
 
 def _first_fields(where: Path) -> tuple[list[bytes], list[int] | None]:
-    """Return the fields of the first data line, and the columns of a pose.
-
-    The columns are those of a heading, which may be a comment; None without a heading.
-    """
+    """Return the fields of the first data line, and a pose's columns if a heading names them."""
     columns = None
     for line in read_head(where).removeprefix(b"\xef\xbb\xbf").splitlines():
         named = _named_columns(_split(line.strip().lstrip(b"#%")))

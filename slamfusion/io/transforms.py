@@ -440,10 +440,7 @@ def _chained(way: Sequence[Step], found: Sequence[Around], count: int) -> F64:
 
 
 def _slerp(start: F64, end: F64, shares: F64) -> F64:
-    """Return unit quaternions (N, 4) between others, at constant speed the short way.
-
-    SciPy's rotations do the same; loading them takes half a second and 30 MB in every node.
-    """
+    """Return unit quaternions (N, 4) between others, as SciPy does, which loads slowly."""
     cosines = (start * end).sum(axis=1, keepdims=True)
     end, cosines = np.where(cosines < 0.0, -end, end), np.abs(cosines)
     across = end - cosines * start

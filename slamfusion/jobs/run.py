@@ -251,11 +251,7 @@ def run_log(  # noqa: PLR0915 - one page, a heading a stage
 
 
 class _Stages:
-    """The time of each stage, and what failed in them.
-
-    Attributes:
-        slams: of each SLAM the share of the log that it has read.
-    """
+    """The time of each stage, what failed in them, and the share of the log each SLAM has read."""
 
     def __init__(self, progress: inputs.Progress | None, slams: Sequence[str]) -> None:
         self.begun_s = time.perf_counter()

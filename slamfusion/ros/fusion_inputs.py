@@ -211,12 +211,7 @@ class FusionInputs:
         return "" if result.successful else str(result.reason)
 
     def _checked(self, entries: Sequence[str]) -> dict[str, str]:
-        """Return the entries by name after loading their new saved maps.
-
-        Raises:
-            ConfigError: none left, too many, one given twice, or an invalid topic.
-            MapFileError: a saved map cannot be read.
-        """
+        """Return the entries by name after loading their new saved maps; refuse wrong ones."""
         if not entries and self.entries:
             raise ConfigError("inputs: one at least must stay; end the node to fuse nothing")
         if len(entries) > MOST_INPUTS:

@@ -134,10 +134,7 @@ class FusionServices:
         return "the newest maps begin a new fused frame"
 
     def _save(self, path: str | None = None, **rules: Any) -> str:
-        """Write the last published map by rules of ``save_map``; return the path of its YAML file.
-
-        ``path``: without an ending; relative to the working folder; None: ``save_path``.
-        """
+        """Write the last published map by rules of ``save_map``; return the path of its YAML."""
         node = self._node
         if node.published is None:
             raise SlamFusionError(node.session.snapshot.nothing_fused)
@@ -161,11 +158,7 @@ class FusionServices:
         return where
 
     def _target(self, save_path: str, name: str) -> Path:
-        """Return the path of a map to write, without an ending.
-
-        Raises:
-            SlamFusionError: no file name, outside of the folder (also by a link), or no folder.
-        """
+        """Return the path of a map to write, without an ending, in the folder or below it."""
         given = Path(save_path)
         if given.name in {"", ".."} or "\0" in save_path:
             raise SlamFusionError(f"{name} {save_path!r} names no file; add a name")

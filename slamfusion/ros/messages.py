@@ -198,10 +198,7 @@ def path_from_bytes(data: bytes, name: str) -> Trajectory:
 
 
 def _rows_of_path(data: bytes) -> npt.NDArray[Any] | None:
-    """Return the poses of a serialized path; see ``_row_of_path``.
-
-    None if it is empty, lies otherwise in memory, or has a pose that is none in the plane.
-    """
+    """Return the poses of a path that lies as ``_row_of_path`` says; None of any other."""
     if data[:2] != b"\0\1":  # little-endian
         return None
 

@@ -163,10 +163,7 @@ class BagFrames:
         return BagOdometry(times, rows, wanted.lstrip("/"))
 
     def _moving_frame(self, topic: str, message: Any) -> str:
-        """Return the frame of the odometry's pose: the named one, if it can move with the laser.
-
-        Otherwise (the message's own frame, the laser, the map, none, or an unknown one) the base.
-        """
+        """Return the frame of the odometry's pose: the named one, or else the base."""
         named, own = message.child_frame_id.lstrip("/"), message.header.frame_id.lstrip("/")
         frames = self.tree.frames
         odd = {own, "", "map", self._config.odom_frame, self._laser_frame}
