@@ -4,9 +4,8 @@ Run in the root of the repository, after a change to a type or its text::
 
     python -m tests.support.make_schema
 
-The types are dataclasses and TypedDicts. pydantic turns copies of them into JSON Schema: the texts
-below the keys, which Python does not keep, become descriptions in these, and other keys are
-refused.
+The types are dataclasses and TypedDicts. The texts below the keys, which Python does not keep,
+become descriptions; other keys are refused.
 """
 
 from __future__ import annotations
@@ -18,15 +17,9 @@ import sys
 import typing
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
-from functools import cache, reduce
-from operator import or_
 from pathlib import Path
 from types import UnionType
-from typing import Annotated, Any
-
-import typing_extensions
-from pydantic import Field, TypeAdapter
-from pydantic.json_schema import GenerateJsonSchema
+from typing import Any, Literal, Union
 
 from slamfusion.config import RunConfig
 from slamfusion.evaluation.relations import RelationErrors
@@ -97,7 +90,7 @@ ADDED: dict[type, tuple[tuple[type, str, str], ...]] = {
         (GraphHealth, "Graph", "Of a producer with a pose graph."),
     )
 }
-_FORMS: tuple[Any, ...] = (Annotated, typing_extensions.NotRequired, typing_extensions.TypedDict)
+PLAIN = {str: "string", int: "integer", float: "number", bool: "boolean", type(None): "null"}
 # Of these keys a measured path has all or none.
 TOGETHER = (
     frozenset(field.name for field in fields(TrajectoryErrors) if field.repr),
@@ -106,28 +99,12 @@ TOGETHER = (
 )
 
 
-class _WithoutTitles(GenerateJsonSchema):
-    """pydantic's generator, without a title for each key that repeats its name."""
-
-    def field_title_should_be_set(self, schema: Any) -> bool:  # noqa: ARG002
-        return False
-
-
 def make_schema() -> dict[str, Any]:
     """Return the schema of all documents."""
-    asked = {
-        kind: TypeAdapter(described(kind))
-        for kinds in (*DOCUMENTS.values(), (FailureDocument, *WRITTEN))
-        for kind in kinds
-    }
-    _, made = TypeAdapter.json_schemas(
-        [(kind.__name__, "serialization", adapter) for kind, adapter in asked.items()],
-        schema_generator=_WithoutTitles,
-    )
-    found = made["$defs"]
-    for record in found.values():
-        _keep_together(record)
-        _shorten(record)
+    found: dict[str, Any] = {}
+    for kinds in (*DOCUMENTS.values(), (FailureDocument, *WRITTEN)):
+        for kind in kinds:
+            add_record(kind, found)
     commands = {command.replace(" ", "-"): kinds for command, kinds in DOCUMENTS.items()}
     return {
         "$schema": DIALECT,
@@ -161,66 +138,75 @@ def _name(kind: type) -> str:
     return kind.__name__.removesuffix("Json")
 
 
-def _keep_together(record: dict[str, Any]) -> None:
-    """Say which optional keys come together."""
-    properties, required = record.get("properties", {}), set(record.get("required", ()))
-    if not properties.keys() >= frozenset.union(*TOGETHER):
-        return
-    shared = frozenset.intersection(*TOGETHER)
-    record["dependentRequired"] = {
-        key: sorted(group - required - {key})
-        for group in TOGETHER
-        for key in sorted(group - shared - required)
+def add_record(kind: type, found: dict[str, Any]) -> dict[str, str]:
+    """Add a record, and those in it, to those that were found; return the reference to it."""
+    name = _name(kind)
+    if name not in found:
+        found[name] = {}  # below, others may name it
+        properties = {key: _property(kind, key, *own, found) for key, own in _keys(kind).items()}
+        for own, added, text in ADDED.get(kind, ()):
+            keys = {key: one for key, one in _keys(own).items() if key not in properties}
+            shapes = {key: _property(own, key, *one, found) for key, one in keys.items()}
+            found[added] = _record(own, added, shapes, list(shapes))
+            properties[added.lower()] = {**_reference(added), "description": text}
+        required = _required(kind)
+        found[name] = _record(
+            kind, name, properties, [key for key in properties if key in required]
+        )
+    return _reference(name)
+
+
+def _record(
+    kind: type, name: str, properties: dict[str, Any], required: list[str]
+) -> dict[str, Any]:
+    """Return the schema of a record, which admits no other keys than it has."""
+    record: dict[str, Any] = {
+        "additionalProperties": kind in OPEN,
+        "description": (inspect.getdoc(kind) or "").replace("``", "`"),
+        "properties": properties,
+        **({"required": required} if required else {}),
+        "title": name,
+        "type": "object",
     }
-
-
-def _shorten(schema: Any) -> None:
-    """Write ``anyOf`` of plain types as a list of types, wherever it stands."""
-    if isinstance(schema, list):
-        for item in schema:
-            _shorten(item)
-    if not isinstance(schema, dict):
-        return
-    for item in schema.values():
-        _shorten(item)
-    choices = schema.get("anyOf", ())
-    if choices and all(isinstance(choice, dict) and set(choice) == {"type"} for choice in choices):
-        del schema["anyOf"]
-        schema["type"] = [choice["type"] for choice in choices]
-
-
-@cache
-def described(kind: type) -> Any:
-    """Return a TypedDict with the keys of a record; they have their texts and admit no others.
-
-    Raises:
-        ValueError: a key has no text.
-    """
-    required = _required(kind)
-    # Types that are made as the program runs are no types to a checker.
-    annotated, not_required, typed_dict = _FORMS
-    keys = {}
-    for key, (hint, text) in _keys(kind).items():
-        if not text:
-            raise ValueError(f"{kind.__name__}.{key} has no text below it")
-        field = annotated[_copied(hint), Field(description=text)]
-        keys[key] = field if key in required else not_required[field]
-    for own, name, text in ADDED.get(kind, ()):
-        added = {
-            key: annotated[_copied(hint), Field(description=words)]
-            for key, (hint, words) in _keys(own).items()
-            if key not in keys
+    if properties.keys() >= frozenset.union(*TOGETHER):
+        shared = frozenset.intersection(*TOGETHER)
+        record["dependentRequired"] = {
+            key: sorted(group - set(required) - {key})
+            for group in TOGETHER
+            for key in sorted(group - shared - set(required))
         }
-        record = _closed(typed_dict(name, added), own)
-        keys[name.lower()] = not_required[annotated[record, Field(description=text)]]
-    return _closed(typed_dict(_name(kind), keys), kind)
+    return record
 
 
-def _closed(copy: Any, kind: type) -> Any:
-    """Return a copy of a record with its text, that admits no other keys than it has."""
-    copy.__doc__ = (inspect.getdoc(kind) or "").replace("``", "`")
-    copy.__pydantic_config__ = {"extra": "allow" if kind in OPEN else "forbid"}
-    return copy
+def _property(kind: type, key: str, hint: Any, text: str, found: dict[str, Any]) -> dict[str, Any]:
+    """Return the schema of a key; ValueError: it has no text."""
+    if not text:
+        raise ValueError(f"{kind.__name__}.{key} has no text below it")
+    return dict(sorted({**_shape(hint, found), "description": text}.items()))
+
+
+def _shape(hint: Any, found: dict[str, Any]) -> dict[str, Any]:
+    """Return the schema of a type; its records are added to those that were found."""
+    hint = {Path: str, RunConfig: Mapping[str, Any]}.get(hint) or _keys_of(hint)
+    if hint in PLAIN:
+        return {"type": PLAIN[hint]}
+    if typing.is_typeddict(hint) or is_dataclass(hint):
+        return add_record(hint, found)
+    origin, arguments = typing.get_origin(hint), typing.get_args(hint)
+    if origin is Literal:
+        return {"enum": list(arguments), "type": "string"}
+    if isinstance(origin, type) and issubclass(origin, Mapping):
+        values = arguments[1]
+        shape = True if values is Any else _shape(values, found)
+        return {"additionalProperties": shape, "type": "object"}
+    shapes = [_shape(own, found) for own in arguments if own is not Ellipsis]
+    if origin in {UnionType, Union}:
+        is_plain = all(set(shape) == {"type"} for shape in shapes)
+        return {"type": [one["type"] for one in shapes]} if is_plain else {"anyOf": shapes}
+    if origin is not tuple or Ellipsis in arguments:
+        return {"items": shapes[0], "type": "array"}
+    count = len(shapes)
+    return {"maxItems": count, "minItems": count, "prefixItems": shapes, "type": "array"}
 
 
 def _required(kind: Any) -> frozenset[str]:
@@ -245,18 +231,6 @@ def _required(kind: Any) -> frozenset[str]:
 def _hints(kind: Any) -> dict[str, Any]:
     """Return the types of a record's fields, also where its module only names them to checkers."""
     return typing.get_type_hints(kind, localns={"Evaluation": fuse_documents.Evaluation})
-
-
-def _copied(hint: Any) -> Any:
-    """Return a type with every record in it replaced by its described copy."""
-    hint = {Path: str, RunConfig: Mapping[str, Any]}.get(hint) or _keys_of(hint)
-    if typing.is_typeddict(hint) or is_dataclass(hint):
-        return described(hint)
-    origin, arguments = typing.get_origin(hint), typing.get_args(hint)
-    if origin is None or origin is typing.Literal:
-        return hint
-    copies = tuple(map(_copied, arguments))
-    return reduce(or_, copies) if origin in {UnionType, typing.Union} else origin[copies]
 
 
 def _keys_of(hint: Any) -> Any:
