@@ -130,9 +130,6 @@ def print_by_case(figures: pd.DataFrame, what: str, leading: Sequence[str]) -> N
         output.print_table((f"{what} ", *cases, "mean", "std"), rows, title=title)
 
 
-# --- --table --------------------------------------------------------------------------------------
-
-
 FORMS = (".csv", ".md", ".tex")
 # A spreadsheet takes a cell that starts with one of these for a formula.
 FORMULA = ("=", "+", "-", "@")

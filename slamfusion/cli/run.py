@@ -302,9 +302,6 @@ def _print_details(run: jobs.run_files.LogRun) -> None:
         output.print_facts(("agreement", str(run.agreement)), *output.map_server_facts(run.fused))
 
 
-# --- several logs ---------------------------------------------------------------------------------
-
-
 ALONE = "{} belongs to one log; run each log that needs it alone"
 # What belongs to one log, by the argument of ``run_log``.
 OF_ONE_LOG = {

@@ -78,9 +78,6 @@ def command(folder: Path, port: int, host: str, drive: str) -> None:
         threading.Event().wait()
 
 
-# --- what a job left in its folder ----------------------------------------------------------------
-
-
 @dataclass
 class Finished:
     """A folder of maps.

@@ -132,9 +132,6 @@ def _cells(found: Alignment, accepted: str) -> list[str]:
     ]
 
 
-# --- errors of maps and paths ---------------------------------------------------------------------
-
-
 def tell_unaligned(evaluations: Sequence[jobs.fuse_documents.Evaluation]) -> None:
     """Tell why maps could not be aligned with the truth: they may be mirrored, for example."""
     for item in evaluations:
@@ -196,9 +193,6 @@ def print_measures(estimate: Trajectory, measures: evaluation.measured.Measures)
     print_table(("error ", *figures), rows, title=title)
     for note in measures.how_counted():
         say(note)
-
-
-# --- recommendations ------------------------------------------------------------------------------
 
 
 def print_recommendation(answer: Recommendation) -> None:

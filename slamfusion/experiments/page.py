@@ -190,8 +190,6 @@ class Experiment:
                 found += part
         return pd.DataFrame(map(vars, found), columns=list(Comparison.__annotations__))
 
-    # --- fusions --------------------------------------------------------------------------------
-
     @cached_property
     def against_best(self) -> list[AgainstBest]:
         """Each fusion compared with the best input of each case (by its mean)."""
@@ -222,8 +220,6 @@ class Experiment:
             of_sums = np.average(ratios, weights=[item.best_error for item in own])
             found[fusion] = Overall(float(np.mean(ratios)), max(ratios), float(of_sums))
         return found
-
-    # --- shown ----------------------------------------------------------------------------------
 
     def sentences(self) -> list[str]:
         """Return each fusion compared with the best input, and the remarks."""

@@ -172,9 +172,6 @@ def _write(folder: Path, key: str, mark: str, result: RunResult) -> None:
             files.add(_maps_file(folder, key), result.example)
 
 
-# --- the maps of a run against the truth ------------------------------------------------------
-
-
 def packed_maps(differences: Mapping[str, I8], resolution: float) -> bytes:
     """Return the file of differences to the truth, (H, W) int8 by method, all on one lattice."""
     arrays: dict[str, Any] = {f"{MAP}{name}": item for name, item in differences.items()}

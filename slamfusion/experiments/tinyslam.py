@@ -160,9 +160,6 @@ def repeated_runs(
     return replace(experiment, remarks=sentences)
 
 
-# --- drives: recorded logs and simulated floors ---------------------------------------------------
-
-
 @dataclass(frozen=True, eq=False)
 class Drive:
     """A drive in memory; ``odometry`` of the scans, or None if it is not needed."""

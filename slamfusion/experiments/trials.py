@@ -296,9 +296,6 @@ def _true_path(recording: Recording, scans: Sequence[LogScan]) -> Trajectory:
     return Trajectory(stamps_s, recording.truth.poses[kept], "truth")
 
 
-# --- faults ---------------------------------------------------------------------------------------
-
-
 # Part of the drive over which the robot is kidnapped.
 KIDNAPPED_FROM, KIDNAPPED_TO = 0.45, 0.55
 # From this share on, the encoder reads distances too long and turns too small.

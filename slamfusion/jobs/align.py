@@ -96,9 +96,6 @@ def _expected(config: RunConfig, reference: str, moving: str) -> Pose2 | StartPo
     return found
 
 
-# --- floor plans ----------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True, eq=False)
 class AlignedPlan:
     """A floor plan on a map.

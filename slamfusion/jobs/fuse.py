@@ -272,9 +272,6 @@ def group_stores(store: Path, count: int) -> tuple[Path, ...]:
     return tuple(stem.with_name(stem.name + store.suffix) for stem in stems)
 
 
-# --- files ------------------------------------------------------------------------------------
-
-
 def save_fused_maps(
     fused: FusedMaps,
     stem: str | Path,

@@ -194,9 +194,6 @@ def _stem(path: Path) -> str:
     return name or str(path)
 
 
-# --- defaults -------------------------------------------------------------------------------------
-
-
 # How the maps of a drive vote where no map can be drawn of it; see docs/concepts/voting.md.
 RUN_VOTE: VoteMode = "consensus"
 # Of ``run_log``. The map that all scans draw at the fused path is nearer to the truth than any vote

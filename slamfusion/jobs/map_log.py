@@ -233,9 +233,6 @@ def measure_run(run: ProducerRun, config: RunConfig, ground_truth: GroundTruth) 
     return replace(final, as_first_reported=ground_truth.measure(online, config, run.odometry))
 
 
-# --- files ------------------------------------------------------------------------------------
-
-
 def write_producer(
     run: ProducerRun, record: Any, stem: Path, config: RunConfig, *, probabilities: bool
 ) -> None:

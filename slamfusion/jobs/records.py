@@ -18,8 +18,6 @@ from slamfusion.config import RunConfig
 from slamfusion.json_values import plain
 from slamfusion.version import versions
 
-# --- what many documents share ----------------------------------------------------------------
-
 
 class FailureDocument(TypedDict):
     """All that a command prints that failed before it had anything to tell; exit code 1."""
@@ -92,9 +90,6 @@ class Summaries:
     """The figures of each method over the seeds of one case; empty where none has several."""
 
 
-# --- how values are written ---------------------------------------------------------------------
-
-
 def record_bytes(document: Any) -> bytes:
     """Return a document as the indented UTF-8 text of a JSON file; NaN and infinity become null."""
     return (json.dumps(plain(document), indent=2, allow_nan=False) + "\n").encode()
@@ -116,9 +111,6 @@ def spread(mean: float, deviation: float, digits: int) -> str:
 def p_text(p_value: float | None) -> str:
     """Return a p-value for a table: three decimals, or ``<0.001``; a dash where there is none."""
     return "<0.001" if p_value is not None and p_value < 0.001 else number(p_value)
-
-
-# --- the schema -------------------------------------------------------------------------------
 
 
 def load_schema(what: str | None = None) -> dict[str, Any]:
@@ -145,9 +137,6 @@ def load_schema(what: str | None = None) -> dict[str, Any]:
         **{key: value for key, value in schema.items() if key != "anyOf"},
         "$ref": f"#/$defs/{name}",
     }
-
-
-# --- the commands other than the main work --------------------------------------------------------
 
 
 class ShowDocument(TypedDict):

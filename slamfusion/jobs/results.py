@@ -58,9 +58,6 @@ class ResultsFileError(SlamFusionError):
     """A file is none of saved results, or is damaged."""
 
 
-# --- the table ----------------------------------------------------------------------------------
-
-
 def results_table(rows: Iterable[Row]) -> pd.DataFrame:
     """Return rows as a table of ``COLUMNS``."""
     return pd.DataFrame(list(rows), columns=COLUMNS)
@@ -120,9 +117,6 @@ def markdown(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 def _is_number(cell: str) -> bool:
     return cell[:1].isdigit() or cell[:1] in {"-", "+", "<"}
-
-
-# --- files --------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)

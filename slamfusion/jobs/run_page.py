@@ -176,9 +176,6 @@ def _timings_section(run: LogRun) -> page.Section:
     return page.Section("Health, times and memory", text, tables=found)
 
 
-# --- paths -------------------------------------------------------------------------------------
-
-
 def _paths_section(run: LogRun, colours: Mapping[str, Rgb]) -> page.Section:
     """Return all paths in the fused map, or each over its own map, and how far they are apart."""
     config, pictures, table = run.made_with.config, [], page.NO_TABLES

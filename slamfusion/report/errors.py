@@ -102,9 +102,6 @@ def error_facts(item: MeasuredPath) -> list[Fact]:
     return facts
 
 
-# --- figures -------------------------------------------------------------------------------------
-
-
 def _over_time(
     errors: Mapping[str, TrajectoryErrors | RelationErrors], colours: Mapping[str, Rgb]
 ) -> Figure:
@@ -172,9 +169,6 @@ def draw_shares(axes: Axes, values: Sequence[tuple[str, F64]], colours: Mapping[
     axes.set_xlim(least, most + 0.05 * (most - least) or 1.0)
     axes.set_ylim(0.0, 1.02)
     write_note(axes, f"shown up to the {_BULK:.0%} quantile")
-
-
-# --- quantities over time -------------------------------------------------------------------------
 
 
 def drawable(series: Sequence[Series]) -> list[Series]:

@@ -291,9 +291,6 @@ def closures_picture(
     )
 
 
-# --- paths by their scans ------------------------------------------------------------------------
-
-
 def evidence_section(
     answer: Recommendation, evidence: PathEvidence, page: Mapping[str, Rgb] | None = None
 ) -> Section:

@@ -83,9 +83,6 @@ HEADERS = {
 }
 
 
-# --- what pages say -------------------------------------------------------------------------------
-
-
 class PageMessageError(SlamFusionError):
     """Something that no page of ours says."""
 
@@ -113,9 +110,6 @@ def parse_message(text: str) -> PageMessage:
     return said
 
 
-# --- who may ask ----------------------------------------------------------------------------------
-
-
 def may_ask(host: str, bound: str) -> bool:
     """Whether a server bound to an address answers for a Host header; any port, for tunnels."""
     if host.startswith("["):
@@ -137,9 +131,6 @@ def _address(name: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
         return ipaddress.ip_address(name)
     except ValueError:
         return None
-
-
-# --- the server -----------------------------------------------------------------------------------
 
 
 class PageServer:
