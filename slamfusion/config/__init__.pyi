@@ -15,7 +15,6 @@ from slamfusion.config.core import (
     option as option,
     shown_value as shown_value,
     split_list as split_list,
-    to_mapping as to_mapping,
 )
 from slamfusion.config.fusion import (
     SMALLEST as SMALLEST,

@@ -248,11 +248,6 @@ def shown_value(value: Any) -> str:
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
-def to_mapping(config: Any) -> dict[str, Any]:
-    """Return a configuration as nested plain values, ready for YAML or JSON."""
-    return dataclasses.asdict(config)
-
-
 @overload
 def from_mapping(config: type[T], values: Any, where: str = ...) -> T: ...
 

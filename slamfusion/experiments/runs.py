@@ -8,7 +8,7 @@ import json
 import math
 import zipfile
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
@@ -18,7 +18,7 @@ import numpy as np
 import slamfusion
 from slamfusion.compute import ComputeDevice
 from slamfusion.compute.opencl import kernel_folder
-from slamfusion.config import RunConfig, to_mapping
+from slamfusion.config import RunConfig
 from slamfusion.errors import FleetError, MapFileError, SlamFusionError
 from slamfusion.evaluation.map_error import maps_of_differences
 from slamfusion.evaluation.measured import Row, result_rows
@@ -81,7 +81,7 @@ def run_all(
     """Do the runs that the folder does not hold yet; return all results in order.
 
     Args:
-        tasks: by the name of their files; ``repr`` of a task must identify it.
+        tasks: by the name of their files, each another one; ``repr`` must identify it.
         work: does a run; with several processes a function of a module.
         inputs: files on which, like on the device, the results depend; None: on neither.
     """
@@ -90,7 +90,7 @@ def run_all(
     facts += [record["sha256"] for file in inputs or () for record in input_records(*file)]
     marks = {key: _fingerprint(task, config, facts) for key, task in tasks.items()}
     done = {key: kept for key in tasks if (kept := _read(folder, key, marks[key])) is not None}
-    missing = [(key, task) for key, task in tasks.items() if key not in done]
+    missing = {task: key for key, task in tasks.items() if key not in done}
     kept_count = len(done)
 
     def tell(count: float) -> None:
@@ -101,22 +101,14 @@ def run_all(
     processes = max(1, min(setup.processes, len(missing)))
     try:
         with executor_for(setup.scheduler, processes, config.device.device) as executor:
-            for (key, _), result in as_done(executor, _work, missing, work, config, progress=tell):
+            for task, result in as_done(executor, work, missing, config, progress=tell):
+                key = missing[task]
                 _write(folder, key, marks[key], result)
                 done[key] = result
     except FleetError as error:
         message = f"{error}; what is done stays done: start the experiment again, it goes on"
         raise SlamFusionError(message) from None
     return [done[key] for key in tasks]
-
-
-def _work(
-    item: tuple[str, T],
-    work: Callable[[T, RunConfig, Tell], RunResult],
-    config: RunConfig,
-    tell: Tell,
-) -> RunResult:
-    return work(item[1], config, tell)
 
 
 @cache
@@ -134,7 +126,7 @@ def program_digest() -> str:
 
 def _fingerprint(task: object, config: RunConfig, facts: Sequence[str]) -> str:
     """Return a hash of a task, its settings, inputs and the program."""
-    settings = to_mapping(replace(config, seed=0))
+    settings = asdict(replace(config, seed=0))
     for unrelated in ("experiment", "live", "graph_optimizer", "simulate", "report"):
         del settings[unrelated]
     text = json.dumps([repr(task), settings, *facts, program_digest()], sort_keys=True)

@@ -144,10 +144,9 @@ def evaluate_maps(
         truths, found = [plan.plan for plan in plans], [plan.of_map for plan in plans]
     elif align:
         found = align_each(true_grid, grids, search, device)
-    evaluations = []
+    evaluations, tell = [], progress or (lambda *_: None)
     for done, (grid, shown, alignment) in enumerate(zip(grids, truths, found, strict=True)):
-        if progress is not None:
-            progress("evaluate", done, len(grids))
+        tell("evaluate", done, len(grids))
         error = compare_to_truth(
             grid,
             shown,
@@ -157,8 +156,7 @@ def evaluate_maps(
         )
         aligned = alignment is None or alignment.accepted
         evaluations.append(Evaluation(**vars(error), aligned=aligned, alignment=alignment))
-    if progress is not None:
-        progress("evaluate", len(grids), len(grids))
+    tell("evaluate", len(grids), len(grids))
     return tuple(evaluations)
 
 

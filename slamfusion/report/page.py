@@ -10,7 +10,7 @@ import math
 import platform
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
@@ -20,7 +20,7 @@ import yaml
 from markupsafe import Markup
 from matplotlib.figure import Figure  # noqa: TID251
 
-from slamfusion.config import PICTURE_FORMS, RunConfig, to_mapping
+from slamfusion.config import PICTURE_FORMS, RunConfig
 from slamfusion.io.files import AtomicFiles
 from slamfusion.report.canvas import Legend, add_lettering, to_form
 from slamfusion.report.layers import Layers
@@ -128,8 +128,8 @@ def _settings(config: RunConfig) -> tuple[list[tuple[str, str]], str]:
             found |= flat(value, f"{prefix}{key}.") if is_group else {f"{prefix}{key}": value}
         return found
 
-    settings = to_mapping(config)
-    defaults = flat(to_mapping(with_producers(RunConfig(), config.producers)))
+    settings = asdict(config)
+    defaults = flat(asdict(with_producers(RunConfig(), config.producers)))
     own = flat(settings).items()
     changed = [(key, str(value)) for key, value in own if value != defaults.get(key)]
     return changed, yaml.safe_dump(settings, sort_keys=False, allow_unicode=True)

@@ -12,7 +12,7 @@ import shlex
 import sys
 from collections.abc import Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import cache
 from importlib.metadata import version
 from multiprocessing import get_context
@@ -269,11 +269,11 @@ def _steady(value: Any) -> Any:
 
 @cache
 def _defaults() -> dict[str, Any]:
-    from slamfusion.config import RunConfig, to_mapping  # noqa: PLC0415
+    from slamfusion.config import RunConfig  # noqa: PLC0415
     from slamfusion.slam.registry import BUILT_IN, producer  # noqa: PLC0415
 
-    own = {name: to_mapping(producer(name).config) for name in BUILT_IN}
-    return json.loads(json.dumps({**to_mapping(RunConfig()), "producers": own}))
+    own = {name: asdict(producer(name).config) for name in BUILT_IN}
+    return json.loads(json.dumps({**asdict(RunConfig()), "producers": own}))
 
 
 def _unusual(value: Any, default: Any) -> Any:

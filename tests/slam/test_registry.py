@@ -6,13 +6,14 @@ import importlib.metadata
 import sys
 import types
 from collections.abc import Iterator
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from slamfusion.compute import NumpyDevice
-from slamfusion.config import GraphConfig, RunConfig, to_mapping
+from slamfusion.config import GraphConfig, RunConfig
 from slamfusion.errors import ConfigError, SlamFusionError
 from slamfusion.slam import registry
 from slamfusion.slam.common.runner import Resumable
@@ -119,7 +120,7 @@ def test_settings_are_those_of_the_configuration_or_the_defaults() -> None:
     assert settings_of(config, "gmapping") == producer("gmapping").config
     whole = with_producers(config, ["graph", "tinyslam"])
     assert list(whole.producers) == ["graph", "tinyslam"]
-    assert to_mapping(whole)["producers"]["graph"]["resolution"] == 0.1
+    assert asdict(whole)["producers"]["graph"]["resolution"] == 0.1
 
 
 def written(tmp_path: Path, text: str) -> Path:

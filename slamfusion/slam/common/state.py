@@ -23,7 +23,6 @@ import numpy as np
 import numpy.typing as npt
 
 from slamfusion.compute import ComputeDevice
-from slamfusion.config import to_mapping
 from slamfusion.errors import SlamFusionError, shown
 from slamfusion.geometry import F64, Pose2
 from slamfusion.io import check_memory, write_atomic
@@ -160,7 +159,7 @@ class SavedMapper(Stateful):
 
     def owner(self) -> dict[str, Any]:
         """Return what a state and the mapper that restores it must have in common."""
-        settings = {"seed": self._seed, **_flat(to_mapping(self._config))}
+        settings = {"seed": self._seed, **_flat(dataclasses.asdict(self._config))}
         return {"name": self.name, "format": self.STATE_FORMAT, "settings": settings}
 
 
