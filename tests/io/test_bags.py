@@ -42,9 +42,6 @@ def assert_pose(found: Pose2 | None, x: float, y: float, yaw_rad: float) -> None
     assert (found.x, found.y, found.yaw_rad) == pytest.approx((x, y, yaw_rad), abs=1e-6)
 
 
-# --- kinds of bags -------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_kind_of_bag_gives_its_scans(tmp_path: Path, kind: str) -> None:
     bag = driven().scan(10.5, [1.0, math.inf, math.nan]).scan(11.25)
@@ -76,9 +73,6 @@ def test_the_storage_file_alone_is_a_bag_too(tmp_path: Path, kind: str) -> None:
 
 def test_a_bag_without_message_definitions_is_read(tmp_path: Path) -> None:
     assert len(list(open_log(driven().scan(10.5).write(tmp_path, "sqlite3", version=8)))) == 1
-
-
-# --- odometry ------------------------------------------------------------------------------------
 
 
 def test_scans_without_odometry_in_reach_are_counted_skips(tmp_path: Path) -> None:
@@ -143,9 +137,6 @@ def test_another_base_frame_moves_the_odometry_and_the_mount(tmp_path: Path) -> 
     assert_pose(scan.scan.mount, 0.0, -1.2, -math.pi / 2)
 
 
-# --- mount ---------------------------------------------------------------------------------------
-
-
 def test_a_laser_that_hangs_upside_down_turns_the_other_way(tmp_path: Path) -> None:
     bag = driven().scan(10.5, [1.0, 2.0, 3.0], angle_min=-0.2, angle_increment=0.3)
     bag.transform(10.0, "base_link", "laser", (0.3, 0.1, 0.2), UPSIDE_DOWN)
@@ -173,9 +164,6 @@ def test_a_laser_that_turns_on_the_robot_has_a_mount_for_each_time(tmp_path: Pat
     assert yaws == pytest.approx([0.5, 1.0])
 
 
-# --- scans ---------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     "fields",
     [
@@ -200,9 +188,6 @@ def test_scans_without_stamps_take_the_time_of_recording_and_say_so(tmp_path: Pa
     log, scans = read(bag, tmp_path)
     assert [scan.scan.stamp_s for scan in scans] == [5.0, 6.0]
     assert any("when each was recorded" in note for note in log.notes)
-
-
-# --- choices and errors --------------------------------------------------------------------------
 
 
 def refusal(bag: Bag, folder: Path, **config: Any) -> str:
@@ -276,9 +261,6 @@ def test_without_rosbags_the_extra_is_named(
     monkeypatch.setitem(sys.modules, "rosbags.typesys", None)
     with pytest.raises(LogError, match=r"pip install 'slamfusion\[bags\]'"):
         open_log(path)
-
-
-# --- recordings ----------------------------------------------------------------------------------
 
 
 @pytest.mark.datasets

@@ -32,9 +32,6 @@ def read(log: CarmenLog) -> tuple[list[LogScan], Skips]:
     return list(log), log.skips
 
 
-# --- geometry ------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("beams", "step_deg", "last_deg"),
     [(180, 1.0, 89.0), (181, 1.0, 90.0), (360, 0.5, 89.5), (361, 0.5, 90.0)],
@@ -102,9 +99,6 @@ def test_an_offset_setting_that_the_poses_deny_is_not_used_and_said(tmp_path: Pa
     assert any("not used" in note for note in log.notes)
 
 
-# --- other words ---------------------------------------------------------------------------------
-
-
 def test_comments_odometry_settings_and_other_lasers_are_no_scans(tmp_path: Path) -> None:
     rear = flaser(2).replace("FLASER", "RLASER")
     log = log_of(tmp_path, "# said", "", "ODOM 0 0 0 0 0 0 1 h 0", "PARAM a b c 0", flaser(1), rear)
@@ -143,9 +137,6 @@ def test_gmappings_laser_readings_are_read(tmp_path: Path) -> None:
     assert found.odometry == Pose2(0.5, 0.25, 0.1)
     assert found.scan.stamp_s == 17.5
     assert found.scan.ranges.tolist() == [1.0, 2.0, 3.0]
-
-
-# --- readings that saw nothing -------------------------------------------------------------------
 
 
 def varied(count: int, top: float, seed: int = 1) -> list[float]:
@@ -204,9 +195,6 @@ def test_zero_and_negative_readings_measured_nothing(tmp_path: Path) -> None:
     assert scan.is_hit().tolist() == [False, False, True]
 
 
-# --- time ----------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     "stamps",
     [[0] * 12, ["1.13486e+09"] * 12, [4294970000.0] * 12, [*range(90), *([5] * 10)]],
@@ -220,9 +208,6 @@ def test_broken_stamps_give_index_time_and_say_so(tmp_path: Path, stamps: list[o
     assert skips.total == 0
     assert not log.has_stamps
     assert any("index times 0.25 s" in note for note in log.notes)
-
-
-# --- damage --------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -266,8 +251,6 @@ def test_a_cut_off_packed_file_gives_what_is_whole_and_says_so(tmp_path: Path, p
     assert len(scans) == zlib.decompressobj(31).decompress(cut).count(b"\n") > 0
     assert any("ends early" in reason for reason in skips.counts)
 
-
-# --- writing -------------------------------------------------------------------------------------
 
 poses = st.builds(Pose2, st.floats(-1e4, 1e4), st.floats(-1e4, 1e4), st.floats(-math.pi, math.pi))
 readings = st.one_of(
@@ -365,8 +348,6 @@ def test_no_scan_is_no_log(tmp_path: Path) -> None:
     with pytest.raises(LogError, match="no scan to write"):
         write_carmen(tmp_path / "a.log", [])
 
-
-# --- recordings ----------------------------------------------------------------------------------
 
 RECORDED = [
     ("mit-csail/mit-csail.clf.gz", 1988, 0, 361, 424.0, 373.6, True),

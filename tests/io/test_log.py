@@ -20,8 +20,6 @@ from slamfusion.scan import LaserScan
 from tests.io.logs import flaser, write_lines
 from tests.io.test_tinyslam_dat import row
 
-# --- which reader --------------------------------------------------------------------------------
-
 
 @pytest.mark.parametrize("name", ["a.clf", "a.log", "a.txt", "a.gfs", "a.carmen", "A.LOG"])
 @pytest.mark.parametrize("packed", [False, True])
@@ -108,9 +106,6 @@ def test_a_line_without_end_is_refused_before_it_fills_the_memory(tmp_path: Path
     path = tmp_path / "a.log"
     path.write_bytes(b"FLASER 3 " + b"1 " * (9 << 20))
     assert "line 1 is longer than 16 MiB" in refusal(path)
-
-
-# --- counting ------------------------------------------------------------------------------------
 
 
 def test_skips_keep_the_first_lines_of_each_reason() -> None:

@@ -40,9 +40,6 @@ def shade_of(value: int, maxval: int = 255) -> float:
     return 1.0 - value / maxval
 
 
-# --- loading -------------------------------------------------------------------------------------
-
-
 def test_row_zero_of_the_picture_is_the_top_of_the_map(tmp_path: Path) -> None:
     grid = load_map(write_map(tmp_path, TINY))
     assert grid.cells.tolist() == CELLS
@@ -245,9 +242,6 @@ def test_palettes_and_shallow_greys_are_expanded(tmp_path: Path) -> None:
 )
 def test_numbers_are_read_as_they_are_written(tmp_path: Path, text: str, number: float) -> None:
     assert load_map(write_map(tmp_path, TINY, resolution=text)).resolution == number
-
-
-# --- refusals ------------------------------------------------------------------------------------
 
 
 def assert_refused(path: Path, *words: str, resolution: float | None = None) -> str:
@@ -468,9 +462,6 @@ def test_the_given_resolution_is_checked(tmp_path: Path, resolution: float) -> N
     assert_refused(tmp_path / "map.pgm", "'resolution'", resolution=resolution)
 
 
-# --- saving --------------------------------------------------------------------------------------
-
-
 def grid_of(cells: npt.ArrayLike, **arguments: object) -> OccupancyGrid:
     values = {"resolution": 0.05, **arguments}
     return OccupancyGrid(np.array(cells, dtype=np.int8), **values)
@@ -627,9 +618,6 @@ def test_saving_beyond_memory_is_refused(tmp_path: Path, monkeypatch: pytest.Mon
     with pytest.raises(MemoryBudgetError, match=r"out\.pgm: saving a 3 x 2 map needs"):
         save_map(grid_of(CELLS), tmp_path / "out")
     assert list(tmp_path.iterdir()) == []
-
-
-# --- the recorded maps ---------------------------------------------------------------------------
 
 
 @pytest.mark.datasets

@@ -157,8 +157,6 @@ def test_an_index_that_was_edited_by_hand_is_passed_over(tmp_path: Path) -> None
     assert len(list(BagLog(path))) == 1
 
 
-# --- topics that cannot be read ------------------------------------------------------------------
-
 NOTED = "/note"
 
 
@@ -230,9 +228,6 @@ def test_messages_as_ros1_writes_them_in_an_mcap_file(tmp_path: Path) -> None:
         writer.write(scans, 11 * 10**9, store.serialize_ros1(message, SCAN))
     (item,) = open_log(next((tmp_path / "bag").glob("*.mcap")))
     assert item.scan.stamp_s == 11.0
-
-
-# --- files without their end ---------------------------------------------------------------------
 
 
 def long_drive(folder: Path, kind: str) -> Path:

@@ -129,9 +129,6 @@ def test_nanoseconds_in_a_tum_file(tmp_path: Path) -> None:
     assert np.allclose(read_trajectory(written(tmp_path, table)).stamps_s, STAMPS_S)
 
 
-# --- bags ----------------------------------------------------------------------------------------
-
-
 def with_poses(bag: Bag, topic: str, kind: str) -> Bag:
     for stamp_s, pose in zip(STAMPS_S.tolist(), POSES.tolist(), strict=True):
         more = {"child": "base_link"} if kind == ODOMETRY else {}

@@ -98,9 +98,6 @@ def saved(tmp_path: Path) -> Path:
     return save(tmp_path / "a.zip", ROWS, [("truth", "intel", tmp_path / "true.tum")])
 
 
-# --- files --------------------------------------------------------------------------------------
-
-
 def changed(path: Path, name: str, change: Callable[[bytes], bytes | None]) -> Path:
     """Return a copy of a file with one entry changed, or left out (None)."""
     other = path.with_name("changed.zip")
@@ -195,9 +192,6 @@ def test_a_bomb_is_refused_before_it_is_unpacked(
         read_results(saved)
 
 
-# --- several seeds ------------------------------------------------------------------------------
-
-
 def repeated(method: str, gain: float = 0.0, seeds: Sequence[int] = (0, 1, 2)) -> list[Row]:
     """Three cases of three seeds: errors of 1, 2, 3 and a hundredth a seed, less a gain a seed."""
     placed = place_files(
@@ -261,9 +255,6 @@ def test_methods_of_one_file_are_compared_with_each_other(tmp_path: Path) -> Non
     assert [result.name for result in two.results] == ["graph", "gmapping", "drawn", "other"]
     with pytest.raises(SlamFusionError, match=r"one with several methods of a case, found .*other"):
         compare_results([other])
-
-
-# --- comparing ----------------------------------------------------------------------------------
 
 
 def test_two_files_are_compared_case_by_case(tmp_path: Path) -> None:
@@ -362,8 +353,6 @@ def test_some_figures_are_better_when_they_are_larger(
     (found,) = compared(tmp_path, first, second).figures
     assert found.better == better
 
-
-# --- the picture --------------------------------------------------------------------------------
 
 HEADS = {"png": b"\x89PNG", "svg": b"<?xml", "pdf": b"%PDF"}
 

@@ -118,9 +118,6 @@ def test_odd_paths_can_be_drawn(places: list[tuple[float, float]]) -> None:
         assert max(pixels(png).shape) < 2000
 
 
-# --- pages ---------------------------------------------------------------------------------------
-
-
 def result_of(run: ProducerRun, measures: Measures) -> SlamProducer:
     return SlamProducer(
         run=run, measures=measures, map_error=None, device="a device", resumed_from=None

@@ -215,9 +215,6 @@ def test_a_bad_name_of_a_topic_is_one_line(words: tuple[str, ...], said: str):
     assert "\n" not in str(raised.value)
 
 
-# -- what nodes that were started together say -----------------------------------------------------
-
-
 class Log:
     """Keeps warnings, as a logger of rclpy takes them."""
 
@@ -240,9 +237,6 @@ def test_of_the_nodes_of_a_session_one_says_what_holds_for_all(
     assert [log.said for log in logs] == [["no GPU", "no scans"], ["no scans"]]
     # Each goes on to have it in its diagnostics.
     assert second.worst() == (Level.WARN, "no GPU; no scans")
-
-
-# -- the worker ------------------------------------------------------------------------------------
 
 
 class Gate:

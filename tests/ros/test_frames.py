@@ -59,9 +59,6 @@ def test_who_waits_gets_the_transform_between_two_that_come_later():
     assert near(found[0], Pose2(1.5, 0.0, 0.0))
 
 
-# -- where several maps claim one frame ------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("topics", "wanted"),
     [

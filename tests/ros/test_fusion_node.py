@@ -285,9 +285,6 @@ def test_wrong_settings_end_it_with_one_line(processes: Processes):
         assert "Traceback" not in node.text()
 
 
-# -- frames ----------------------------------------------------------------------------------------
-
-
 def assert_near(a: Pose2, b: Pose2, metres: float, radians: float) -> None:
     assert math.hypot(a.x - b.x, a.y - b.y) < metres, (a, b)
     assert abs(math.remainder(a.yaw_rad - b.yaw_rad, math.tau)) < radians, (a, b)

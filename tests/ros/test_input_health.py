@@ -30,9 +30,6 @@ pytestmark = [pytest.mark.ros, pytest.mark.once]
 DAY_S = 86400.0
 
 
-# -- clocks ----------------------------------------------------------------------------------------
-
-
 class Robots:
     """Inputs that send poses ten times a second by clocks of their own."""
 
@@ -154,8 +151,6 @@ def test_a_stamp_is_ahead_of_the_clock_and_of_all_others_or_it_is_not():
         ]
 
 
-# -- signs of life ---------------------------------------------------------------------------------
-
 # Writers that live, how many more do than with the last event, and how many more do not.
 LIVES, SILENT, RENEWED = (1, 1, 0), (0, -1, 1), (1, 1, -1)
 GIVEN_UP, ANOTHER = (0, 0, -1), (1, 1, 0)
@@ -204,9 +199,6 @@ def test_the_writer_that_had_fallen_silent_is_told_from_another_one(
     found = after(*events)
     assert found.is_back == is_back
     assert not found.is_dead(1e9)
-
-
-# -- maps and what changed of them -----------------------------------------------------------------
 
 
 def drawn() -> OccupancyGrid:
