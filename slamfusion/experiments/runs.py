@@ -37,7 +37,7 @@ Tell = Callable[[float], None]
 Inputs = Sequence[tuple[str, str, Path]]
 
 # Parts of the package that do not affect results.
-FACES = {"cli", "page", "report", "ros", "viewer"}
+FACES = {"cli", "report", "ros", "web"}
 # Folder of finished runs in that of the experiment; array names in map files.
 FOLDER = "trials"
 MAP, RESOLUTION = "map ", "resolution"

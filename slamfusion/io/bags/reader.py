@@ -12,7 +12,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from itertools import islice
 from operator import itemgetter
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 from slamfusion.errors import LogError, MemoryBudgetError, SlamFusionError
 from slamfusion.io.bags import METADATA, STORAGE_FILES
@@ -30,14 +30,6 @@ _NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 # Messages per topic that are read for a description of the frames.
 FRAMES_READ = 1000
 TRANSFORM_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
-
-
-class BagMessage(NamedTuple):
-    """One message; ``content`` is None if it cannot be decoded."""
-
-    topic: str
-    recorded_ns: int
-    content: Any
 
 
 class OpenBag:
@@ -119,11 +111,11 @@ class OpenBag:
         """Return each laser's frame, and each ``parent > child``, of the first messages."""
         found: dict[str, None] = {}
         for topic in self.topics(SCAN_TYPES):
-            frames = (item.content.header.frame_id for item in self.messages(topic) if item.content)
+            frames = (own.header.frame_id for _, _, own in self.messages(topic) if own)
             found |= dict.fromkeys(f"{topic} in {frame}" for frame in islice(frames, 1))
         for topic in self.topics(TRANSFORM_TYPES):
-            for item in islice(self.messages(topic), FRAMES_READ):
-                moved = item.content.transforms if item.content else ()
+            for _, _, message in islice(self.messages(topic), FRAMES_READ):
+                moved = message.transforms if message else ()
                 found |= dict.fromkeys(
                     f"{own.header.frame_id} > {own.child_frame_id}" for own in moved
                 )
@@ -133,14 +125,14 @@ class OpenBag:
         """Return the number of messages of a topic."""
         return sum(item.msgcount for item in self._connections if item.topic == topic)
 
-    def messages(self, *topics: str) -> Iterator[BagMessage]:
-        """Yield the messages of topics, in the order of recording."""
+    def messages(self, *topics: str) -> Iterator[tuple[str, int, Any]]:
+        """Yield topic, time of recording (ns) and message, None if damaged, in that order."""
         parts = (self._stored(storage, topics) for storage in self._storages)
         for connection, recorded_ns, raw in heapq.merge(*parts, key=itemgetter(1)):
             content = None
             with suppress(Exception):  # damaged bytes fail in many ways; the caller counts them
                 content = self._decode(_encoding(connection), _kind(connection), bytes(raw))
-            yield BagMessage(connection.topic, recorded_ns, content)
+            yield connection.topic, recorded_ns, content
 
     def _stored(self, storage: Storage, topics: Sequence[str]) -> Iterator[Stored]:
         wanted = [item for item in storage.connections if item.topic in topics and _kind(item)]
