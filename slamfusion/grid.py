@@ -11,6 +11,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 from typing import TypeVar
 
 import numpy as np
@@ -96,6 +97,17 @@ class CellBox:
         """Return its indices in an array of the cells of another box; None: from cell [0, 0]."""
         row0, col0 = (0, 0) if whole is None else (whole.row0, whole.col0)
         return slice(self.row0 - row0, self.row1 - row0), slice(self.col0 - col0, self.col1 - col0)
+
+    def tiles(self, side: int) -> Iterator[CellBox]:
+        """Yield boxes that cover it once, cut where rows and columns are multiples of a side."""
+        rows, cols = (
+            [start, *range(start + side - start % side, stop, side), stop]
+            for start, stop in ((self.row0, self.row1), (self.col0, self.col1))
+        )
+        for row0, row1 in pairwise(rows):
+            for col0, col1 in pairwise(cols):
+                if row1 > row0 and col1 > col0:
+                    yield CellBox(row0, col0, row1, col1)
 
     def cut(
         self, cells: npt.NDArray[Scalar], whole: CellBox, otherwise: int

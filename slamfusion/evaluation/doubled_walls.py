@@ -16,9 +16,6 @@ import numpy.typing as npt
 from slamfusion.geometry import B8, F32, I8, I64
 from slamfusion.grid import CellBox
 
-# Rows and columns of a part of an array.
-Window = tuple[slice, slice]
-
 # Tile size; tiles without walls are skipped.
 TILE_CELLS = 1024
 # Cells beyond the end of a ray that the filter windows reach.
@@ -88,20 +85,11 @@ def fused_doubled_shares(fused: I8, inputs: Iterable[tuple[B8, CellBox]]) -> tup
 
 def _take_doubled(doubled: B8, known: B8, box: CellBox) -> None:
     """Clear doubled cells near doubled walls of an input, in place."""
-    for tile, wide, inner in _tiles(doubled.shape):
-        if not doubled[tile].any():
-            continue
-        height, width = doubled[wide].shape
-        asked = np.zeros((height, width), dtype=np.bool_)
-        asked[inner] = doubled[tile]
-        row, col = wide[0].start - box.row0, wide[1].start - box.col0
-        part = known[max(row, 0) : max(row + height, 0), max(col, 0) : max(col + width, 0)]
-        if not part.any():
-            continue
-        top, left = max(-row, 0), max(-col, 0)
-        walls = np.zeros((height, width), dtype=np.bool_)
-        walls[top : top + part.shape[0], left : left + part.shape[1]] = part
-        doubled[tile] &= ~_grown(_doubled(walls, _grown(asked))[1])[inner]
+    for tile, wide in _tiles(doubled.shape):
+        left = doubled[tile.slices()]
+        if left.any() and (walls := wide.cut(known, box, False)).any():
+            asked = wide.cut(left, tile, False)
+            left &= ~_grown(_doubled(walls, _grown(asked))[1])[tile.slices(wide)]
 
 
 def _grown(cells: B8) -> B8:
@@ -114,14 +102,14 @@ def _grown(cells: B8) -> B8:
 def _count(walls: B8) -> tuple[int, B8]:
     """Return the number of wall cells without specks, and the doubled ones."""
     considered, doubled = 0, np.zeros(walls.shape, dtype=np.bool_)
-    for tile, wide, inner in _tiles(walls.shape):
-        if walls[tile].any():
-            asked = np.zeros(walls[wide].shape, dtype=np.bool_)
-            asked[inner] = True
+    for tile, wide in _tiles(walls.shape):
+        own = walls[tile.slices()]
+        if own.any():
+            asked = wide.cut(np.ones_like(own), tile, False)
             # The margin is wide enough that groups cut by its edge do not matter.
-            kept, marks = _doubled(walls[wide], asked)
+            kept, marks = _doubled(walls[wide.slices()], asked)
             considered += int(np.count_nonzero(kept))
-            doubled[tile] = marks[inner]
+            doubled[tile.slices()] = marks[tile.slices(wide)]
     return considered, doubled
 
 
@@ -214,15 +202,8 @@ def _next_wall(drawn: F32, cells: npt.NDArray[np.intp], ways: F32) -> I64:
     return found
 
 
-def _tiles(shape: tuple[int, ...]) -> Iterator[tuple[Window, Window, Window]]:
-    """Yield tiles of an array: the tile, with its margin, and its place in that."""
-    side, reach = TILE_CELLS, 2 * math.ceil(FAR) + FILTERS_CELLS
-    for row in range(0, shape[0], side):
-        for col in range(0, shape[1], side):
-            tile = slice(row, min(row + side, shape[0])), slice(col, min(col + side, shape[1]))
-            first = max(row - reach, 0), max(col - reach, 0)
-            wide = slice(first[0], tile[0].stop + reach), slice(first[1], tile[1].stop + reach)
-            rows, cols = (
-                slice(part.start - at, part.stop - at) for part, at in zip(tile, first, strict=True)
-            )
-            yield tile, wide, (rows, cols)
+def _tiles(shape: tuple[int, int]) -> Iterator[tuple[CellBox, CellBox]]:
+    """Yield the tiles of an array, each with its margin."""
+    whole = CellBox(0, 0, *shape)
+    for tile in whole.tiles(TILE_CELLS):
+        yield tile, tile.grown_inside(2 * math.ceil(FAR) + FILTERS_CELLS, whole)

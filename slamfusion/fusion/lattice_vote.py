@@ -40,7 +40,6 @@ from slamfusion.vote.tiles import (
     GridLayer,
     TileVoter,
     sum_counts,
-    tiles_of,
     worst_place,
 )
 
@@ -72,7 +71,7 @@ class PackedLayer:
     def of(cls, box: CellBox, cells: I8) -> PackedLayer:
         """Pack the cells of a box."""
         blocks = {}
-        for part in tiles_of(CellBox(0, 0, *cells.shape), BLOCK):
+        for part in CellBox(0, 0, *cells.shape).tiles(BLOCK):
             block = cells[part.slices()]
             if (block != UNKNOWN).any():
                 packed = zlib.compress(block.tobytes(), 1)
@@ -157,7 +156,7 @@ class LatticeVote:
         Raises:
             GridError: more inputs than a vote takes know one place.
         """
-        tiles = list(tiles_of(self.voter.whole, TILE))
+        tiles = list(self.voter.whole.tiles(TILE))
         calls = ((self.voter, tile, self.prepared or self._under(tile)) for tile in tiles)
         for done, made in enumerate(in_order(executor, task, calls)):
             yield tiles[done], made
@@ -398,7 +397,7 @@ def decide_tile(
 
 def _parts(tile: CellBox, layers: Mapping[str, Any]) -> Iterator[CellBox]:
     """Yield the tile, or smaller ones where not all inputs that know something may vote at once."""
-    yield from tiles_of(tile, TILE if len(layers) <= MOST_INPUTS else SMALL_TILE)
+    yield from tile.tiles(TILE if len(layers) <= MOST_INPUTS else SMALL_TILE)
 
 
 def _shown(

@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import astuple, dataclass, field, replace
-from itertools import pairwise
 from typing import get_args
 
 import numpy as np
@@ -316,15 +315,3 @@ def check_votes(config: VoteConfig) -> None:
             f"mode {config.mode!r} draws the map from the scans of a log, and here are only maps; "
             f"use {' or '.join(votes)}, or pass the log to `slamfusion run`"
         )
-
-
-def tiles_of(whole: CellBox, side: int) -> Iterator[CellBox]:
-    """Yield boxes that cover the whole, cut where rows and columns are multiples of a side."""
-    rows, cols = (
-        [start, *range(start + side - start % side, stop, side), stop]
-        for start, stop in ((whole.row0, whole.row1), (whole.col0, whole.col1))
-    )
-    for row0, row1 in pairwise(rows):
-        for col0, col1 in pairwise(cols):
-            if row1 > row0 and col1 > col0:
-                yield CellBox(row0, col0, row1, col1)

@@ -14,7 +14,7 @@ from slamfusion.compute.votes import Votes
 from slamfusion.config import VoteConfig
 from slamfusion.errors import ConfigError, GridError
 from slamfusion.grid import CellBox
-from slamfusion.vote.tiles import TileVoter, check_votes, tiles_of
+from slamfusion.vote.tiles import TileVoter, check_votes
 from tests.support.examples import examples
 
 U, F, O = -1, 0, 1
@@ -159,7 +159,7 @@ def test_tiles_are_the_whole_once_cut_at_multiples_of_their_side(
 ) -> None:
     whole = CellBox(*corner, corner[0] + shape[0], corner[1] + shape[1])
     times = np.zeros(shape, dtype=int)
-    for tile in tiles_of(whole, side):
+    for tile in whole.tiles(side):
         times[tile.slices(whole)] += 1
         for cell, start in zip((tile.row0, tile.col0), corner, strict=True):
             assert cell == start or cell % side == 0
