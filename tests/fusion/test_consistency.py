@@ -20,7 +20,9 @@ from tests.fusion.drawings import features_of
 
 SIZE = 0.05
 # Where the frame of each input lies in the world; every right transform follows from them.
-FRAMES = {name: Pose2(0.1 * index, -0.05 * index, 0.4 * index) for index, name in enumerate("abcd")}
+FRAMES = {
+    name: Pose2(0.1 * index, -0.05 * index, 0.4 * index) for index, name in enumerate("abcdef")
+}
 CENTRE = (1.0, 1.0)
 ASIDE = Pose2(0.0, 1.0)
 TURNED = Pose2(0.0, 0.0, math.radians(10.0))
@@ -167,6 +169,27 @@ def test_links_are_taken_back_over_a_rejected_pair_that_walls_contradict() -> No
     # A link that is far stronger than the other is not.
     strong = [pair("b", "a"), pair("c", "b", 0.2), pair("c", "a", accepted=False)]
     assert members("abc", strong, against="ac") == "ab"
+
+
+def test_a_contradicted_bridge_between_closed_loops_is_taken_back() -> None:
+    pairs = [pair(b, a) for a, b in ("ab", "bc", "ac", "cd", "de", "ef", "df")]
+    groups, told = Search("abcdef", [*pairs, pair("e", "b", accepted=False)], "be").run()
+    assert [list(group) for group in groups] == [["a", "b", "c"], ["d", "e", "f"]]
+    (false,) = (one for one in told if one.reason.startswith("taken back: "))
+    assert {false.reference, false.moving} == {"c", "d"}
+
+
+LOOPS = [pair(b, a) for a, b in ("ab", "bc", "ac", "cd", "bd")]
+
+
+def test_walls_that_contradict_closed_loops_take_nothing_back() -> None:
+    assert members("abcd", [*LOOPS, pair("d", "a", accepted=False)], against="ad") == "abcd"
+
+
+def test_a_weak_pair_that_contradicts_loops_is_the_false_one() -> None:
+    assert members("abcd", [*LOOPS, pair("d", "a", 0.4, ASIDE)]) == "abcd"
+    triangle = [pair("b", "a", 0.6), pair("c", "b", 0.5), pair("c", "a", 0.06, ASIDE)]
+    assert members("abc", triangle) == "abc"
 
 
 @example(scores=[0.0, 1e-5, 0.5, 0.5, 1e-5, 0.25], chosen=["a", "b", "c", "d"])
