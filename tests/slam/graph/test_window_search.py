@@ -22,8 +22,7 @@ from slamfusion.slam.graph.closure_search import (
     WindowMatch,
     search_window,
 )
-from slamfusion.slam.graph.submap import Pyramid, Submap
-from tests.slam.drives import CELL_M, scan_at, true_poses
+from slamfusion.slam.graph.submap import Pyramid
 from tests.support.examples import examples
 
 
@@ -180,40 +179,3 @@ def test_finds_the_best_of_every_other_place(
     assert case.scores(found.pose[None])[0] == pytest.approx(found.score, abs=1e-12)
     assert is_elsewhere(found.pose[None], beside).all()
     assert np.abs(allowed - found.pose).max(axis=1).min() < 1e-9
-
-
-@pytest.fixture(scope="module")
-def flat(device: ComputeDevice) -> Submap:
-    """A submap of the drawn flat, in the map frame."""
-    submap = Submap(device, 0, CELL_M, 0.1)
-    for index, pose in enumerate(true_poses(120)[::8]):
-        scan = scan_at(pose, 0.1 * index)
-        submap.insert(scan.points(), np.zeros(2), pose)
-    submap.finish()
-    return submap
-
-
-@pytest.mark.parametrize(
-    "wrong", [(0.0, 0.0, 0.0), (2.9, -2.7, 0.3), (-3.0, 3.0, -0.34), (-4.0, 0.5, math.pi - 0.3)]
-)
-def test_a_true_pose_far_from_the_centre_is_found(
-    device: ComputeDevice, flat: Submap, wrong: tuple[float, float, float]
-):
-    truth = true_poses(120)[60]
-    points = scan_at(truth, 0.0).points()
-    found = search_window(
-        device,
-        flat.pyramid(),
-        points[::2],
-        Window(
-            np.array([truth.x, truth.y, truth.yaw_rad]) + wrong,
-            4.0,
-            0.349 if abs(wrong[2]) < 0.349 else math.pi,
-        ),
-        CELL_M,
-        least=0.3,
-    )
-    assert found is not None
-    assert math.hypot(found.pose[0] - truth.x, found.pose[1] - truth.y) < 2.0 * CELL_M
-    assert abs(wrap_angle(found.pose[2] - truth.yaw_rad)) < 0.02
-    assert found.score > 0.7
