@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import scipy
 
+from slamfusion.compute.lattice import cells_at
 from slamfusion.config import NormalizeConfig
 from slamfusion.errors import MapFileError, shown
 from slamfusion.geometry import F64, I8, Pose2
@@ -51,15 +52,14 @@ def sample_on_lattice(
     shift_x = pose_grid_lattice.x / grid.resolution + _BORDER_CELLS
     shift_y = pose_grid_lattice.y / grid.resolution + _BORDER_CELLS
 
-    sampled = np.full(box.shape, UNKNOWN, dtype=np.int8)
+    sampled = np.empty(box.shape, dtype=np.int8)
     col_centres = np.arange(box.col0, box.col1) + 0.5
     for first in range(0, box.height, _ROWS_PER_BLOCK):
         block = sampled[first : first + _ROWS_PER_BLOCK]
         row_centres = (np.arange(first, first + block.shape[0]) + box.row0 + 0.5)[:, None]
         cols = np.floor(step_x * col_centres - step_y * row_centres + shift_x)
         rows = np.floor(step_y * col_centres + step_x * row_centres + shift_y)
-        inside = (rows >= 0) & (rows < grid.height) & (cols >= 0) & (cols < grid.width)
-        block[inside] = grid.cells[rows[inside].astype(np.int64), cols[inside].astype(np.int64)]
+        block[:] = cells_at(grid.cells, rows.astype(np.int64), cols.astype(np.int64), UNKNOWN)
     return sampled
 
 

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
+from slamfusion.compute.lattice import cells_at
 from slamfusion.evaluation.distances import wall_centres
 from slamfusion.geometry import B8, F64, I8, Pose2
 from slamfusion.grid import UNKNOWN, ClassifiedGrid
@@ -198,10 +199,7 @@ def outside_area(
     rows, cols = np.nonzero(grid.cells != UNKNOWN)
     points = transform.transform(grid.cell_centres(rows, cols))
     true_rows, true_cols = truth.cell_indices(points)
-    true_rows, true_cols = true_rows + margin, true_cols + margin
-    within = (true_rows >= 0) & (true_rows < outline.shape[0])
-    within &= (true_cols >= 0) & (true_cols < outline.shape[1])
-    within[within] = outline[true_rows[within], true_cols[within]]
+    within = cells_at(outline, true_rows + margin, true_cols + margin, False)
     return int(np.count_nonzero(~within)) * grid.resolution**2
 
 
@@ -209,16 +207,9 @@ def _run_behind(walls: B8, row_step: int, col_step: int) -> npt.NDArray[np.int_]
     """Return the length of the unbroken run of wall cells from each in one direction."""
     if row_step == 0:
         return _run_behind(walls.T, col_step, 0).T
-    runs = walls.astype(np.int_)
-    order = range(walls.shape[0] - 2, -1, -1) if row_step > 0 else range(1, walls.shape[0])
-    for row in order:
-        following = np.zeros_like(runs[row])
-        source = runs[row + row_step]
-        if col_step == 0:
-            following = source
-        elif col_step > 0:
-            following[:-1] = source[1:]
-        else:
-            following[1:] = source[:-1]
-        runs[row] += np.where(walls[row], following, 0)
-    return runs
+    height, width = walls.shape
+    runs = np.pad(walls.astype(np.int_), 1)
+    for row in range(height, 0, -1) if row_step > 0 else range(1, height + 1):
+        following = runs[row + row_step, 1 + col_step : 1 + col_step + width]
+        runs[row, 1:-1] *= 1 + following
+    return runs[1:-1, 1:-1]
