@@ -281,7 +281,7 @@ class FusionNode(NodeBase):
         )
         self._keeper = StateKeeper(self, self.fusion, self.settings.state_path, names)
         if (kept := self._keeper.restored) is not None:
-            self.session.offer(FusedMap(*kept.grids(), kept.stamp_s))
+            self.session.offer(FusedMap(kept.fused, kept.agreement, kept.stamp_s))
         self._shown_votes = 0
         # Stamp of the last scan of the last published final solution.
         self._final_s: float | None = None

@@ -19,6 +19,7 @@ from slamfusion.evaluation.measured import error_series, result_rows
 from slamfusion.evaluation.relations import read_relations
 from slamfusion.fusion.live.state import LiveState
 from slamfusion.geometry import Pose2
+from slamfusion.grid import OccupancyGrid
 from slamfusion.io import load_map, open_log, read_trajectory
 from slamfusion.io.images import encode_image
 from slamfusion.io.scan_odometry import read_scan_odometry
@@ -174,10 +175,10 @@ def as_live_state(path: Path) -> object:
 
 def live_state() -> bytes:
     """Return the state of a fusion of two inputs."""
-    cells = np.zeros((6, 5), dtype=np.int8)
+    grid = OccupancyGrid(np.zeros((6, 5), dtype=np.int8), 0.05)
     places = {"a": Pose2(1.0, 2.0, 0.1), "b": Pose2()}
     pairs = {frozenset(("a", "b")): 0.7}
-    state = LiveState(Lattice(0.05, Pose2()), 0, 0, cells, cells.copy(), places, "a", pairs, 3.0)
+    state = LiveState(Lattice(0.05, Pose2()), grid, grid, places, "a", pairs, 3.0)
     return state.to_bytes()
 
 

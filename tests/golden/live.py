@@ -148,7 +148,7 @@ class Player:
         state = self._fusion.state()
         assert state is not None
         kept = state.to_bytes()
-        self.said.append(f"kept {len(state.transforms)} transforms, {_cells(state.fused)}")
+        self.said.append(f"kept {len(state.transforms)} transforms, {_cells(state.fused.cells)}")
         self._begin()
         self._fusion.restore(LiveState.from_bytes(kept))
 

@@ -14,6 +14,7 @@ from std_srvs.srv import Trigger
 
 from slamfusion.fusion.live.state import LiveState
 from slamfusion.geometry import Pose2
+from slamfusion.grid import OccupancyGrid as Grid
 from slamfusion.ros import messages, qos
 from slamfusion.vote.lattice import Lattice
 from tests.fusion.live.maps import assert_same_lattice, share_standing, three, touched
@@ -113,5 +114,5 @@ def a_state() -> LiveState:
     cells = np.zeros((50, 50), dtype=np.int8)
     cells[5:45, 7] = cells[40, 3:49] = 100
     place = Pose2(1.0, 2.0, 0.3)
-    agreement = np.full_like(cells, 100)
-    return LiveState(Lattice(0.05, place), 0, 0, cells, agreement, dict.fromkeys("abc", place), "a")
+    fused, agreement = (Grid(own, 0.05, place) for own in (cells, np.full_like(cells, 100)))
+    return LiveState(Lattice(0.05, place), fused, agreement, dict.fromkeys("abc", place), "a")

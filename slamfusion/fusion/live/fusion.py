@@ -168,14 +168,10 @@ class LiveFusion(Mailbox):
         layers = self._layers
         if layers.lattice is None or layers.box is None:
             return None
-        fused, agreement = layers.grids()
         placed = {t.name: t.transform for t in self._inputs.values() if t.transform is not None}
         return LiveState(
             layers.lattice,
-            layers.box.row0,
-            layers.box.col0,
-            fused.cells,
-            agreement.cells,
+            *layers.grids(),
             {**self._restored, **placed},
             self._supervisor.reference,
             self._aligner.scores,
@@ -248,10 +244,8 @@ class LiveFusion(Mailbox):
             evidence, drawn = replace(evidence, drawn=None), None
         lattice = self._layers.lattice
         if drawn is not None and lattice is None:
-            first = evidence.lattice.cell_of(drawn) or (0, 0)
-            agreement = np.where(drawn.cells < 0, -1, 100).astype(np.int8)
-            place = LiveState(evidence.lattice, *first, drawn.cells, agreement, evidence.transforms)
-            self.restore(place)
+            agreement = replace(drawn, cells=np.where(drawn.cells < 0, np.int8(-1), np.int8(100)))
+            self.restore(LiveState(evidence.lattice, drawn, agreement, evidence.transforms))
             lattice = evidence.lattice
         self._said = evidence
         if drawn is not None and lattice == evidence.lattice:

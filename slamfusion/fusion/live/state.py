@@ -17,8 +17,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from slamfusion.errors import SlamFusionError
-from slamfusion.geometry import I8, Pose2, row_of
-from slamfusion.grid import UNKNOWN, CellBox, OccupancyGrid
+from slamfusion.geometry import Pose2, row_of
+from slamfusion.grid import CellBox, OccupancyGrid
 from slamfusion.vote.lattice import Lattice
 
 KIND = b"slamfusion live state"
@@ -37,68 +37,47 @@ class LiveState:
 
     Attributes:
         lattice: of the fused frame; metres per cell, and the pose of its cell [0, 0].
-        row, col: the lattice's indices of the first cell of ``fused``.
-        fused: (H, W) int8, -1 unknown, 0 free, 100 occupied; read-only.
-        agreement: (H, W) int8, share of the votes in percent, -1 without; read-only.
+        fused: cells -1 unknown, 0 free, 100 occupied, on the lattice.
+        agreement: share of the votes in percent, -1 without; the same cells.
         transforms: every accepted input's map frame into the fused frame, metres, by name.
         reference: name of the reference input; empty without.
         scores: search score of a pair of names, with which tracked scores are compared.
         stamp_s: of the newest map in ``fused``, seconds; 0 if all were saved maps.
+        box: the cells of the lattice that ``fused`` covers.
     """
 
     lattice: Lattice
-    row: int
-    col: int
-    fused: I8
-    agreement: I8
+    fused: OccupancyGrid
+    agreement: OccupancyGrid
     transforms: Mapping[str, Pose2]
     reference: str = ""
     scores: Mapping[frozenset[str], float] = field(default_factory=dict)
     stamp_s: float = 0.0
+    box: CellBox = field(init=False)
 
     def __post_init__(self) -> None:
-        """Check sizes, values and finite numbers; StateError otherwise."""
-        lattice, shape = self.lattice, self.fused.shape
-        poses = (lattice.origin, *self.transforms.values())
-        numbers = [lattice.resolution, self.stamp_s, *self.scores.values()]
-        numbers += [value for pose in poses for value in (pose.x, pose.y, pose.yaw_rad)]
-        if not all(math.isfinite(value) for value in numbers) or lattice.resolution <= 0.0:
-            raise StateError("a state with numbers that are not finite, or cells without a size")
-        if len(shape) != 2 or not self.fused.size or shape != self.agreement.shape:
-            raise StateError(f"a state with grids of shapes {shape} and {self.agreement.shape}")
-        for cells in (self.fused, self.agreement):
-            if cells.dtype != np.int8 or int(cells.min()) < UNKNOWN or int(cells.max()) > 100:
-                raise StateError("a state with cells other than -1 and 0 to 100")
-            cells.flags.writeable = False
-
-    @property
-    def box(self) -> CellBox:
-        """The cells of the lattice that ``fused`` covers."""
-        height, width = self.fused.shape
-        return CellBox(self.row, self.col, self.row + height, self.col + width)
-
-    def grids(self) -> tuple[OccupancyGrid, OccupancyGrid]:
-        """Return the fused map and the agreement as grids in the fused frame."""
-        origin, size = self.lattice.corner(self.row, self.col), self.lattice.resolution
-        return (
-            OccupancyGrid(self.fused, size, origin, "fused"),
-            OccupancyGrid(self.agreement, size, origin, "agreement"),
-        )
+        """Check sizes and finite numbers; StateError otherwise."""
+        first, shape = self.lattice.cell_of(self.fused), self.fused.cells.shape
+        if not all(map(math.isfinite, (self.stamp_s, *self.scores.values()))):
+            raise StateError("a state with numbers that are not finite")
+        if first is None or shape != self.agreement.cells.shape:
+            raise StateError(f"a state with maps beside its lattice, or of two sizes: {shape}")
+        object.__setattr__(self, "box", CellBox(0, 0, *shape).moved(*first))
 
     def to_bytes(self) -> bytes:
         """Return the state as bytes, the same for equal states."""
         record = {
             "resolution": self.lattice.resolution,
             "origin": row_of(self.lattice.origin).tolist(),
-            "first": [self.row, self.col],
-            "shape": list(self.fused.shape),
+            "first": [self.box.row0, self.box.col0],
+            "shape": list(self.box.shape),
             "transforms": {name: row_of(pose).tolist() for name, pose in self.transforms.items()},
             "reference": self.reference,
             "scores": [[*sorted(pair), score] for pair, score in self.scores.items()],
             "stamp_s": self.stamp_s,
         }
         head = json.dumps(record, allow_nan=False).encode() + b"\n"
-        cells = self.fused.tobytes() + self.agreement.tobytes()
+        cells = self.fused.cells.tobytes() + self.agreement.cells.tobytes()
         body = zlib.compress(head + cells, ZLIB_LEVEL)
         return KIND + b" %d\n%s\n" % (VERSION, hashlib.sha256(body).hexdigest().encode()) + body
 
@@ -120,11 +99,14 @@ class LiveState:
             record = json.loads(line)
             shape = (2, *(int(side) for side in record["shape"]))
             row, col = (int(index) for index in record["first"])
-            fused, agreement = np.frombuffer(cells, dtype=np.int8).reshape(shape)
+            lattice = Lattice(float(record["resolution"]), Pose2(*map(float, record["origin"])))
+            both = np.frombuffer(cells, dtype=np.int8).reshape(shape)
+            fused, agreement = (
+                OccupancyGrid(own, lattice.resolution, lattice.corner(row, col), name)
+                for own, name in zip(both, ("fused", "agreement"), strict=True)
+            )
             return cls(
-                Lattice(float(record["resolution"]), Pose2(*map(float, record["origin"]))),
-                row,
-                col,
+                lattice,
                 fused,
                 agreement,
                 {
@@ -135,7 +117,7 @@ class LiveState:
                 {frozenset((str(a), str(b))): float(score) for a, b, score in record["scores"]},
                 float(record["stamp_s"]),
             )
-        except (ValueError, KeyError, TypeError, zlib.error) as error:
+        except (ArithmeticError, ValueError, KeyError, TypeError, zlib.error) as error:
             message = f"the state cannot be understood: {type(error).__name__}: {error}"
             raise StateError(message) from None
 

@@ -215,8 +215,9 @@ class FusedLayers:
 
     def restore(self, state: LiveState) -> None:
         """Start with the last fused map of an earlier run, which has no layers yet."""
-        fused = cv2.LUT(state.fused.view(np.uint8), self._trinary)
-        self._fused, self._agreement = np.asarray(fused).view(np.int8), state.agreement.copy()
+        fused = cv2.LUT(state.fused.cells.view(np.uint8), self._trinary)
+        self._fused = np.asarray(fused).view(np.int8)
+        self._agreement = state.agreement.cells.copy()
         self.lattice, self.box = state.lattice, state.box
 
     def lay(

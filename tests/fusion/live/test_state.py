@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -16,7 +17,7 @@ from slamfusion.config import FusionConfig, NormalizeConfig, RunConfig
 from slamfusion.fusion.live import LiveFusion
 from slamfusion.fusion.live.state import LiveState, StateError, is_state
 from slamfusion.geometry import Pose2
-from slamfusion.grid import IDENTITY
+from slamfusion.grid import IDENTITY, ORIGIN_MOST_M, OccupancyGrid
 from slamfusion.vote.lattice import Lattice
 from tests.fusion.drawings import building
 from tests.fusion.live.maps import (
@@ -33,19 +34,32 @@ from tests.fusion.live.maps import (
 
 pytestmark = pytest.mark.once
 
-NUMBERS = st.floats(-1e9, 1e9)
+NUMBERS = st.floats(-ORIGIN_MOST_M, ORIGIN_MOST_M)
 POSES = st.builds(Pose2, NUMBERS, NUMBERS, st.floats(-math.pi, math.pi))
 NAMES = st.text(max_size=8)
+
+
+def state_of(
+    lattice: Lattice,
+    first: tuple[int, int],
+    fused: npt.NDArray[np.int8],
+    agreement: npt.NDArray[np.int8],
+    *others: Any,
+) -> LiveState:
+    grids = (
+        OccupancyGrid(cells, lattice.resolution, lattice.corner(*first))
+        for cells in (fused, agreement)
+    )
+    return LiveState(lattice, *grids, *others)
 
 
 @st.composite
 def states(draw: st.DrawFn) -> LiveState:
     shape = draw(st.tuples(st.integers(1, 9), st.integers(1, 9)))
     rng = np.random.default_rng(draw(st.integers(0, 99)))
-    return LiveState(
+    return state_of(
         Lattice(draw(st.floats(1e-3, 10.0)), draw(POSES)),
-        draw(st.integers(-5000, 5000)),
-        draw(st.integers(-5000, 5000)),
+        draw(st.tuples(*[st.integers(-5000, 5000)] * 2)),
         rng.choice(np.array([-1, 0, 100], dtype=np.int8), shape),
         rng.integers(-1, 101, shape).astype(np.int8),
         draw(st.dictionaries(NAMES, POSES, max_size=4)),
@@ -55,10 +69,9 @@ def states(draw: st.DrawFn) -> LiveState:
     )
 
 
-SMALL = LiveState(
+SMALL = state_of(
     Lattice(0.05, Pose2(1.0, 2.0, 0.3)),
-    -3,
-    7,
+    (-3, 7),
     np.array([[-1, 0, 100]], dtype=np.int8),
     np.array([[-1, 100, 67]], dtype=np.int8),
     {"a": IDENTITY, "b": Pose2(0.1, 0.2, 0.3)},
@@ -70,7 +83,7 @@ SMALL = LiveState(
 
 def described(state: LiveState) -> tuple[Any, ...]:
     """Everything of a state, to be compared."""
-    cells = [array.tobytes() for array in (state.fused, state.agreement)]
+    cells = [grid.cells.tobytes() for grid in (state.fused, state.agreement)]
     named = (state.lattice, state.box, dict(state.transforms), state.reference)
     return (*named, dict(state.scores), state.stamp_s, *cells)
 
@@ -143,7 +156,7 @@ def test_the_last_map_is_there_before_any_input_comes(device: ComputeDevice):
     assert again.maybe() is None
     state = again.live.state(5.0)
     assert state is not None
-    fused, agreement = state.grids()
+    fused, agreement = state.fused, state.agreement
     assert np.array_equal(fused.cells, drive.fused.cells)
     assert fused.origin == agreement.origin == drive.fused.origin
     assert state.stamp_s == 5.0
@@ -173,7 +186,7 @@ def test_inputs_of_another_place_abstain_and_reset_takes_them(device: ComputeDev
     assert again.accepted() == ""
     state = again.live.state()
     assert state is not None
-    assert np.array_equal(state.grids()[0].cells, drive.fused.cells)
+    assert np.array_equal(state.fused.cells, drive.fused.cells)
     again.live.reset()
     assert again.live.state() is None
     again.step(*other)
