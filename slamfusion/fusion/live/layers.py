@@ -32,15 +32,14 @@ class Layer:
     Attributes:
         cells: (H, W) int8, -1 unknown, 0..100 percent.
         lattice: on which they lie.
-        row, col: the lattice's indices of ``cells[0, 0]``.
+        box: the cells of the lattice that they are.
         known: cells of the lattice that hold every known one; None: none.
         walls: wall cells.
     """
 
     cells: I8
     lattice: Lattice
-    row: int
-    col: int
+    box: CellBox
     known: CellBox | None
     walls: int
 
@@ -49,16 +48,10 @@ class Layer:
         cls, cells: I8, lattice: Lattice, thresholds: NormalizeConfig, row: int = 0, col: int = 0
     ) -> Layer:
         """Measure cells whose first has these indices on the lattice."""
-        box = known_box(cells)
-        known = None if box is None else box.moved(row, col)
+        own = known_box(cells)
+        known = None if own is None else own.moved(row, col)
         walls = int(np.count_nonzero(cells >= math.ceil(thresholds.occupied_percent)))
-        return cls(cells, lattice, row, col, known, walls)
-
-    @property
-    def box(self) -> CellBox:
-        """The cells of the lattice that it covers."""
-        height, width = self.cells.shape
-        return CellBox(self.row, self.col, self.row + height, self.col + width)
+        return cls(cells, lattice, CellBox(0, 0, *cells.shape).moved(row, col), known, walls)
 
     def window(self, box: CellBox) -> I8:
         """Return the cells of a box of the lattice; unknown outside of the layer."""

@@ -67,5 +67,5 @@ def test_a_map_beside_the_lattice_begins_its_own(device: ComputeDevice) -> None:
     assert layer_of(turned, device, first).lattice != first.lattice
     whole = replace(grid, origin=Pose2(-0.3, 0.5, 0.0))
     again = layer_of(whole, device, first)
-    assert (again.row, again.col) == (5, -3)
+    assert (again.box.row0, again.box.col0) == (5, -3)
     assert again.lattice == first.lattice

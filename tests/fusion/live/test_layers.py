@@ -41,7 +41,7 @@ def test_boxes_voted_on_one_by_one_are_one_vote(
     box = CellBox(0, 0, *size)
     layers.grow(box, "all")
     for name, cells in zip("abc", full, strict=True):
-        layers.lay(name, Layer(cells, layers.lattice, 0, 0, box, 0), Pose2(), None)
+        layers.lay(name, Layer(cells, layers.lattice, box, box, 0), Pose2(), None)
     for row in range(0, size[0], 13):
         for col in range(0, size[1], 17):
             part = CellBox(row, col, min(row + 13, size[0]), min(col + 17, size[1]))
@@ -52,7 +52,7 @@ def test_boxes_voted_on_one_by_one_are_one_vote(
     # A part of one map changes, and nothing else is laid or counted again.
     changed = CellBox(20, 5, 27, 15)
     full[1][changed.slices()] = random_cells(4, 40, 40)[:7, :10]
-    touched = layers.lay("b", Layer(full[1], layers.lattice, 0, 0, box, 0), Pose2(), changed)
+    touched = layers.lay("b", Layer(full[1], layers.lattice, box, box, 0), Pose2(), changed)
     assert touched is not None
     layers.vote("abc", touched)
     assert_voted_anew(layers, config, full, device)
