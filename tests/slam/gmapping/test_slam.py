@@ -19,12 +19,10 @@ from slamfusion.geometry import Pose2
 from slamfusion.io.log import LogScan
 from slamfusion.json_values import plain
 from slamfusion.scan import LaserScan
-from slamfusion.slam.common.tile_map import SharedTileMaps
-from slamfusion.slam.gmapping import particles
 from slamfusion.slam.gmapping.particles import ParticleMaps, beams_of
 from slamfusion.slam.gmapping.slam import Gmapping
 from tests.slam.drives import drive, scan_at, true_poses
-from tests.slam.places import errors, everything, feed
+from tests.slam.places import errors, feed
 from tests.support.score_fields import score_field_of
 
 pytestmark = pytest.mark.once
@@ -195,27 +193,6 @@ def test_time_alone_makes_a_step_where_it_is_asked_to(
 
 
 # -- particles and their maps ----------------------------------------------------------------------
-
-
-class FullCopies(SharedTileMaps):
-    """The same maps, but one that takes over another's copies every cell of it."""
-
-    def take_over(self, parents: npt.NDArray[np.int64]) -> None:
-        super().take_over(parents)
-        self.make_writable(self.pages > 0)
-        assert self.owned_and_shared[1] == 0
-
-
-def test_shared_tiles_change_no_bit(device: ComputeDevice, monkeypatch: pytest.MonkeyPatch):
-    scans, _ = drive(40, turn_bias=0.01)
-    shared = run(device, scans, **OFTEN)
-    monkeypatch.setattr(particles, "SharedTileMaps", FullCopies)
-    copied = run(device, scans, **OFTEN)
-    assert shared.health.resamplings == copied.health.resamplings > 5
-    assert shared.health.tiles_shared > 0
-    grid, path = 0, 1
-    for part in (grid, path):
-        assert everything(shared)[part] == everything(copied)[part]
 
 
 def test_what_it_offers_beside_the_best_path(device: ComputeDevice):
