@@ -176,9 +176,6 @@ def test_an_origin_that_jumps_by_10_km_takes_no_memory_and_is_followed(
     assert share_standing(first, drive.fused) > 0.97
 
 
-# -- maps that say nothing -------------------------------------------------------------------------
-
-
 # -- mirrored --------------------------------------------------------------------------------------
 
 

@@ -11,7 +11,6 @@ from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import files
 from tests.fusion.drawings import draw
-from tests.fusion.live.maps import noise, three
 
 RULES = NormalizeConfig()
 
@@ -21,25 +20,6 @@ def test_too_few_walls_say_nothing() -> None:
     assert "23 of the 24" in (unusable(draw("#" * 23 + "."), RULES) or "")
     assert unusable(draw("#" * 24 + "\n" + 2 * ("." * 24 + "\n")), RULES) is None
     assert "0 of the 24" in (unusable(draw("?" * 40), RULES) or "")
-
-
-def test_a_map_is_at_most_a_thousand_kilometres_long() -> None:
-    room = np.zeros((40, 40), dtype=np.int8)
-    room[[0, -1], :] = room[:, [0, -1]] = 100
-    assert unusable(OccupancyGrid(room, 0.1, Pose2(), "room"), RULES) is None
-    far = OccupancyGrid(room, 0.1, Pose2(1e12, 0.0, 0.0), "far")
-    assert unusable(far, RULES) is not None
-    large = np.zeros((1, 20000), dtype=np.int8)
-    assert "at most 1e+06 m long" in (
-        unusable(OccupancyGrid(large, 99.0, Pose2(), "x"), RULES) or ""
-    )
-
-
-def test_noise_and_a_map_all_occupied_say_nothing_of_a_place() -> None:
-    assert "is it noise?" in (unusable(noise(), RULES) or "")
-    full = OccupancyGrid(np.full((80, 80), 100, dtype=np.int8), 0.1, Pose2(), "full")
-    assert "all occupied" in (unusable(full, RULES) or "")
-    assert unusable(three()["a"], RULES) is None
 
 
 def test_a_large_map_must_fit_into_memory_at_the_fused_resolution(

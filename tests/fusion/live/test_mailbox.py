@@ -1,20 +1,17 @@
-"""What comes: the newest map of each input counts, and what cannot be used is counted and named."""
+"""What comes: the newest map of each input counts, and an input that is silent is stale."""
 
 from __future__ import annotations
 
 import threading
-from dataclasses import replace
 
 import pytest
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig, NormalizeConfig, RunConfig
-from slamfusion.errors import GridError
 from slamfusion.fusion.live import LiveFusion
 from slamfusion.fusion.live.mailbox import Mailbox
-from slamfusion.grid import OccupancyGrid
 from slamfusion.io import files
-from tests.fusion.live.maps import Drive, live_fusion, noise, started, three, touched
+from tests.fusion.live.maps import Drive, live_fusion, three, touched
 
 
 def test_the_newest_map_waits_and_is_taken_once() -> None:
@@ -54,24 +51,6 @@ def test_no_message_of_many_threads_is_lost() -> None:
     assert [item.maps for item in box.counts().values()] == [200] * 3
 
 
-def test_what_cannot_be_used_is_counted_and_says_why(device: ComputeDevice) -> None:
-    drive = started(device)
-
-    def fail() -> OccupancyGrid:
-        raise GridError("cannot be read")
-
-    drive.live.put("a", noise(), drive.now_s)
-    drive.live.put("b", replace(three()["b"], resolution=40 * 0.1), drive.now_s)
-    drive.live.put("c", fail, drive.now_s)
-    drive.step()
-    inputs = [drive.input(name) for name in "abc"]
-    assert drive.accepted() == ""
-    assert "is it noise?" in inputs[0].reason
-    assert "coarser" in inputs[1].reason
-    assert inputs[2].reason == "cannot be read"
-    assert [(item.messages.maps, item.messages.rejected) for item in inputs] == [(2, 1)] * 3
-
-
 def test_an_input_is_stale_only_against_another_and_a_saved_one_never(
     device: ComputeDevice,
 ) -> None:
@@ -93,16 +72,6 @@ def test_an_input_is_stale_only_against_another_and_a_saved_one_never(
     drive.now_s += 100.0
     drive.step(three()["a"])
     assert drive.input("b").reason == "no map for 101 s"
-
-
-def test_a_map_that_cannot_be_brought_to_the_cells_of_the_others_takes_no_part(
-    device: ComputeDevice,
-) -> None:
-    drive = Drive(live_fusion(device))
-    coarse = replace(three()["c"], resolution=40.0 * three()["a"].resolution)
-    drive.step(three()["a"], three()["b"], coarse)
-    assert drive.accepted() == "ab"
-    assert "coarser than those of the others" in drive.input("c").reason
 
 
 def test_before_the_first_fusion_memory_must_hold_the_maps_at_its_resolution(

@@ -82,18 +82,6 @@ def test_a_second_jump_elsewhere_confirms_nothing(device: ComputeDevice) -> None
     assert drive.accepted() == "abc"
 
 
-def test_one_input_is_searched_in_an_update(device: ComputeDevice) -> None:
-    drive = started(device)
-    update = drive.step(three()["c"].with_name("d"), three()["b"].with_name("e"))
-    assert update.is_full_search
-    assert sorted(drive.input(name).accepted for name in "de") == [False, True]
-    waiting = next(name for name in "de" if not drive.input(name).accepted)
-    assert drive.input(waiting).reason == "waits for a full search"
-    drive.maybe()
-    assert drive.accepted() == "abcde"
-    assert not drive.step(touched(three()["a"], 1, 0.0005)).is_full_search
-
-
 # -- who is the reference --------------------------------------------------------------------------
 
 
