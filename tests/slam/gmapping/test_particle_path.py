@@ -10,36 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from slamfusion.geometry import F64, Pose2
-from slamfusion.slam.common.state import pack, unpack
 from slamfusion.slam.gmapping.particles import LEAST_SIGMAS, ParticlePaths
 from tests.support.examples import examples
-
-
-def column(*x: float) -> F64:
-    """Poses that differ in x alone."""
-    return np.array([(value, 0.0, 0.0) for value in x])
-
-
-def drawn_tree() -> ParticlePaths:
-    """Three particles, two resamplings; every node's scan, and one between the last two.
-
-    ======  ==========  =======
-    node    poses' x    parents
-    ======  ==========  =======
-    0       0  1  2     --
-    1       10 11 12    2 0 0
-    2       20 21 22    none
-    3       30 31 32    1 1 0
-    ======  ==========  =======
-    """
-    paths = ParticlePaths(3)
-    for number, parents in enumerate(([0, 1, 2], [2, 0, 0], None, [1, 1, 0])):
-        chosen = None if parents is None else np.array(parents)
-        paths.add_node(column(*(10.0 * number + np.arange(3))), chosen)
-        paths.add_scan(float(number), Pose2())
-        if number == 2:
-            paths.add_scan(2.5, Pose2(0.5, 0.25, 0.125))
-    return paths
 
 
 @settings(max_examples=examples(50), deadline=None)
@@ -65,20 +37,6 @@ def test_every_path_is_what_a_full_copy_at_each_resampling_would_hold(
                 full[index].append(np.array([pose.x, pose.y, pose.yaw_rad]))
     for index in range(count):
         np.testing.assert_allclose(paths.path(index, "").poses, full[index], atol=1e-12)
-
-
-def test_saved_and_restored_paths_are_the_same_and_go_on():
-    paths, again = drawn_tree(), ParticlePaths(3)
-    again.restore(unpack(*pack(paths.to_state()), {}))
-    for part in (paths, again):
-        part.add_node(column(40.0, 41.0, 42.0), np.array([2, 0, 1]))
-        part.add_scan(4.0, Pose2(0.1, 0.0, 0.0))
-    for index in range(3):
-        first, other = paths.path(index, "a"), again.path(index, "a")
-        assert first.poses.tobytes() == other.poses.tobytes()
-        assert first.stamps_s.tobytes() == other.stamps_s.tobytes()
-    assert again.entropy() == paths.entropy()
-    assert again.memory_bytes == paths.memory_bytes > drawn_tree().memory_bytes
 
 
 def test_nodes_before_the_last_common_ancestor_take_one_pose_each():
