@@ -7,10 +7,7 @@ import pytest
 
 from slamfusion.geometry import Pose2
 from slamfusion.slam.graph.loop_closure import (
-    AGREEING_NODES,
-    ODOMETRY_M,
     ODOMETRY_NODES,
-    WAIT_NODES,
     How,
     PendingClosure,
     confirmed_by_others,
@@ -19,25 +16,11 @@ from slamfusion.slam.graph.map_graph import Constraint
 
 pytestmark = pytest.mark.once
 
-# By how it was searched: nodes that must agree, the way between them, nodes for which they wait.
-TRUST = {
-    "known": (AGREEING_NODES, 0.0, WAIT_NODES),
-    "odometry": (ODOMETRY_NODES, ODOMETRY_M, WAIT_NODES),
-}
 
-
-def closure_of(
-    number: int,
-    correction: Pose2,
-    *,
-    start: int = 0,
-    travelled_m: float | None = None,
-    how: How = "known",
-) -> PendingClosure:
-    """Return a closure of a node; every node is half a metre on."""
-    edge = Constraint(start, number, np.zeros(3), np.eye(3), is_closure=True)
-    least_m = 0.5 * number if travelled_m is None else travelled_m
-    return PendingClosure(edge, correction, least_m, how)
+def closure_of(number: int, correction: Pose2, how: How = "known") -> PendingClosure:
+    """Return a closure of a node; every node is a metre on."""
+    edge = Constraint(0, number, np.zeros(3), np.eye(3), is_closure=True)
+    return PendingClosure(edge, correction, float(number), how)
 
 
 HERE = Pose2(3.0, -2.0, 0.5)
@@ -60,18 +43,11 @@ def test_a_big_step_waits_for_one_that_says_the_same():
     assert confirmed_by_others(pending, closure_of(10, BIG), HERE) == []
 
 
-LOST: tuple[How, ...] = ("odometry",)
-
-
-def told(how: How, ones: list[tuple[int, Pose2]], every_m: float = 1.0) -> list[int]:
+def told(ones: list[tuple[int, Pose2]]) -> list[int]:
     """Return how many closures of a lost robot were believed, after each of them."""
     pending: list[PendingClosure] = []
     return [
-        len(
-            confirmed_by_others(
-                pending, closure_of(number, correction, travelled_m=every_m * number, how=how), HERE
-            )
-        )
+        len(confirmed_by_others(pending, closure_of(number, correction, "odometry"), HERE))
         for number, correction in ones
     ]
 
@@ -81,20 +57,18 @@ def row(correction: Pose2, first: int, count: int) -> list[tuple[int, Pose2]]:
     return [(first + index, correction) for index in range(count)]
 
 
-@pytest.mark.parametrize("how", LOST)
 @pytest.mark.parametrize("correction", [BIG, moving(0.0, 0.0, 0.0)])
-def test_a_lost_robot_is_found_when_enough_nodes_agree(how: How, correction: Pose2):
+def test_a_lost_robot_is_found_when_enough_nodes_agree(correction: Pose2):
     """Also where it happens to be where odometry has it: no step is small then."""
-    wanted = TRUST[how][0]
-    assert told(how, row(correction, 7, wanted)) == [0] * (wanted - 1) + [wanted]
+    wanted = ODOMETRY_NODES
+    assert told(row(correction, 7, wanted)) == [0] * (wanted - 1) + [wanted]
 
 
-@pytest.mark.parametrize("how", LOST)
-def test_a_lost_robot_is_not_found_where_as_many_say_otherwise(how: How):
+def test_a_lost_robot_is_not_found_where_as_many_say_otherwise():
     """The last of six, say, has five before it that agree: five that do not are too many."""
-    wanted = TRUST[how][0]
+    wanted = ODOMETRY_NODES
     others = [(number, moving(-5.0 - number, 2.0, 1.0)) for number in range(wanted - 1)]
     agreeing = row(BIG, wanted, wanted)
-    assert told(how, [*others[1:], *agreeing])[-1] == wanted
-    assert told(how, [*others, *agreeing])[-1] == 0
-    assert told(how, [*others, *agreeing, (2 * wanted, BIG)])[-1] == wanted + 1
+    assert told([*others[1:], *agreeing])[-1] == wanted
+    assert told([*others, *agreeing])[-1] == 0
+    assert told([*others, *agreeing, (2 * wanted, BIG)])[-1] == wanted + 1
