@@ -67,10 +67,10 @@ def optimize_in_steps(
             those after the chordal relaxation of the rotations, or (``best``) the given or the
             chordal ones, whichever fit better; a robust search then looks for its own.
         weights: (K,) of the first K edges, as an earlier optimisation of them left them; with
-            ``consensus`` and ``gnc`` from given poses their inlier set stands as long as all
-            closures fit that were no outliers there.
-        tolerated: with ``gnc`` it stands as well where at most this number of these do not fit,
-            which are then left out too.
+            ``gnc`` from given poses their inlier set stands as long as all closures fit that were
+            no outliers there.
+        tolerated: it stands as well where at most this number of these do not fit, which are then
+            left out too.
         tolerance: a descent ends after a step that promised to lower chi-square by less than this
             share.
 

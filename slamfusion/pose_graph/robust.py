@@ -11,9 +11,9 @@ or no poses are given: from the odometry, with soft weights of all closures that
 what agrees. The better of the two.
 - ``dcs``: from all closures, each weakened by its own error.
 
-A growing graph is solved repeatedly. The outliers of the last solution are not re-evaluated while
-all other closures fit, except for a tolerated few: the inlier set stands, at the cost of a plain
-descent. Searches are ``Steps``, so a caller can interleave other work.
+A growing graph is solved repeatedly. With ``gnc`` the outliers of the last solution are not
+re-evaluated while all other closures fit, except for a tolerated few: the inlier set stands, at the
+cost of a plain descent. Searches are ``Steps``, so a caller can interleave other work.
 
 Sources: Yang, Antonante, Tzoumas and Carlone, Graduated Non-Convexity for Robust Spatial
 Perception, RA-L 2020 (truncated least squares); Agarwal, Tipaldi, Spinello, Stachniss and Burgard,
@@ -143,11 +143,6 @@ def plain(problem: Problem, start: F64 | None = None) -> Steps[InlierSet]:
 
 def consensus(problem: Problem, start: F64 | None = None) -> Steps[InlierSet]:
     """Start from the closures that support each other and grow from there."""
-    if start is not None and problem.was_outlier is not None:
-        earlier = _Search(problem, LIMIT)
-        yield from earlier.keep_what_fits(start)
-        if not earlier.new_outliers():
-            return earlier.inlier_set()
     mates, scale = find_consensus(problem.measured, problem.may_be_outlier)
     limit = float(np.clip(LIMIT_PER_SCALE * scale, SMALLEST_LIMIT, LIMIT))
     search = _Search(problem, limit)
