@@ -25,7 +25,8 @@ U32: TypeAlias = npt.NDArray[np.uint32]
 I64: TypeAlias = npt.NDArray[np.int64]
 F32: TypeAlias = npt.NDArray[np.float32]
 F64: TypeAlias = npt.NDArray[np.float64]
-T = TypeVar("T", bound=np.generic)
+# Kind of the elements of an array.
+Scalar = TypeVar("Scalar", bound=np.generic)
 
 # Angles from which on it pays to look first whether any is to be wrapped.
 MANY_ANGLES = 512
@@ -125,7 +126,7 @@ def transform_points(poses: F64, points: F64, of: npt.NDArray[np.int64] | None =
     return np.stack((poses[:, 0] + cos * x - sin * y, poses[:, 1] + sin * x + cos * y), axis=1)
 
 
-def corners(points: npt.NDArray[T]) -> tuple[npt.NDArray[T], npt.NDArray[T]]:
+def corners(points: npt.NDArray[Scalar]) -> tuple[npt.NDArray[Scalar], npt.NDArray[Scalar]]:
     """Return the least and the greatest x and y, (2,) each, of points (N, 2 or more), N at least 1.
 
     NumPy reduces rows of two numbers ten times as slowly as columns of many.

@@ -12,16 +12,13 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from slamfusion.config import YAW_MOST_RAD, NormalizeConfig
 from slamfusion.errors import GridError
-from slamfusion.geometry import F64, I8, I64, Pose2
-
-Scalar = TypeVar("Scalar", bound=np.generic)
+from slamfusion.geometry import F64, I8, I64, Pose2, Scalar
 
 FREE = 0
 OCCUPIED = 100

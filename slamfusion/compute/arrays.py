@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeVar, cast
 import numpy as np
 import numpy.typing as npt
 
+from slamfusion.geometry import Scalar
+
 if TYPE_CHECKING:
     from slamfusion.compute.opencl import OpenCLDevice
 
-Scalar = TypeVar("Scalar", bound=np.generic)
 Scalar_co = TypeVar("Scalar_co", bound=np.generic, covariant=True)
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.compute.arrays import DeviceArray, Scalar, host
+from slamfusion.compute.arrays import DeviceArray, host
 from slamfusion.compute.cell_means import CellMeanDevice
 from slamfusion.compute.chunk_marks import ChunkMarkDevice
 from slamfusion.compute.fields import FieldDevice
@@ -19,6 +19,7 @@ from slamfusion.compute.search import SearchDevice
 from slamfusion.compute.tiles import TileDevice
 from slamfusion.compute.votes import VoteDevice
 from slamfusion.compute.wall_pieces import WallPieceDevice
+from slamfusion.geometry import Scalar
 
 
 @dataclass(frozen=True)

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.compute.arrays import ArrayDevice, DeviceArray, Scalar
+from slamfusion.compute.arrays import ArrayDevice, DeviceArray
 from slamfusion.compute.layout import FIXED_ONE, FIXED_TO_CELL_SHIFT, SHIFT_POINTS
-from slamfusion.geometry import F64, I32, I64
+from slamfusion.geometry import F64, I32, I64, Scalar
 
 # Points that kernels move at once; planes of points are a multiple long.
 POINT_LANES = 8

@@ -18,13 +18,13 @@ import numpy as np
 import numpy.typing as npt
 import pyopencl as cl  # noqa: TID251 - compute/ is where pyopencl belongs
 
-from slamfusion.compute.arrays import DeviceArray, Scalar
+from slamfusion.compute.arrays import DeviceArray
 from slamfusion.compute.compute_device import ComputeDevice
 from slamfusion.compute.device import choose_device, is_simulator, is_single_thread
 from slamfusion.compute.layout import CLIMBERS, EACH_LANE, kernel_options
 from slamfusion.compute.pocl_cache import PLATFORM
 from slamfusion.errors import DeviceError
-from slamfusion.geometry import I64
+from slamfusion.geometry import I64, Scalar
 
 INCLUDE = re.compile(r'^#include "([\w.]+)"$', flags=re.MULTILINE)
 

@@ -10,7 +10,7 @@ of the window, (0, 0) its lower-left corner.
 from __future__ import annotations
 
 import math
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -24,9 +24,7 @@ from slamfusion.compute.layout import (
     WALK_SHIFT,
     WALK_TO_BEAM_SHIFT,
 )
-from slamfusion.geometry import F32, I32, I64
-
-Scalar = TypeVar("Scalar", bound=np.generic)
+from slamfusion.geometry import F32, I32, I64, Scalar
 
 
 def walk_cells(beams: I32 | I64, behind: I64 | int = 0) -> tuple[I64, I64, I64, I64]:

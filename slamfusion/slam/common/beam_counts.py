@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -17,10 +17,8 @@ import scipy
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.compute.layout import BEAM_ONE, MOST_BEAMS, TILE
-from slamfusion.geometry import B8, F64, I32, I64, U32, corners, transform_points
+from slamfusion.geometry import B8, F64, I32, I64, U32, Scalar, corners, transform_points
 from slamfusion.slam.common.tile_map import SharedTileMaps
-
-Scalar = TypeVar("Scalar", bound=np.generic)
 
 
 @dataclass(frozen=True, eq=False)
