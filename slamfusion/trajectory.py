@@ -104,8 +104,7 @@ class Trajectory:
 
     def pose(self, index: int) -> Pose2:
         """Return one pose."""
-        x, y, yaw = self.poses[index]
-        return Pose2(float(x), float(y), float(yaw))
+        return Pose2(*self.poses[index].tolist())
 
     def nearest(self, stamps_s: npt.ArrayLike) -> I64:
         """Return the index of the pose nearest to each time; TrajectoryError without poses."""

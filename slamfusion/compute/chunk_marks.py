@@ -85,7 +85,7 @@ class ChunkMarkDevice(ArrayDevice):
 
         Args:
             left_out: the bits that do not count for each beam.
-            reach: cells around the end's own that are searched, 0 to ``MARK_REACH_MAX``.
+            reach: cells around the end's own that are searched, 0 to 16: farther squares flow over.
 
         Returns:
             (B, 2) int32, on the host: the squared distance from the end to the centre of the

@@ -215,8 +215,6 @@ SHARE_ONE: Final = 1 << 16
 # away. The other face of a thin wall is no sign of this one.
 FACINGS: Final = 8
 FACINGS_ALIKE: Final = 5
-# Hits are looked for at most this many cells around; farther squares flow over.
-MARK_REACH_MAX: Final = 16
 
 # -- pieces of wall --------------------------------------------------------------------------------
 
