@@ -156,13 +156,12 @@ def odometry_error(log: list[LogScan], truth: list[Pose2]) -> float:
     return max(math.hypot(a.x - b.x, a.y - b.y) for a, b in pairs)
 
 
-def draw_ring(*, is_smooth: bool = False) -> U8:
-    """A ring corridor of 13 m by 8 m, 2 m wide, with pillars; the upper side may be without."""
+def draw_ring() -> U8:
+    """A ring corridor of 13 m by 8 m, 2 m wide, with pillars."""
     cells, rng = np.ones((cells_of(9.0), cells_of(14.0)), dtype=np.uint8), np.random.default_rng(4)
     cells[10:170, 10:270] = 0
     cells[50:130, 50:230] = 1
-    sides = (cells[:, :50].T, cells[:, 230:].T[::-1], cells[:50], cells[130:][::-1])
-    for side in sides[: 3 if is_smooth else 4]:
+    for side in (cells[:, :50].T, cells[:, 230:].T[::-1], cells[:50], cells[130:][::-1]):
         at = 20
         while at < side.shape[1] - 30:
             wide, deep, gap = (int(value) for value in rng.integers((3, 2, 15), (12, 7, 40)))

@@ -73,12 +73,6 @@ class Sample:
         return field
 
     @cached_property
-    def free(self) -> npt.NDArray[np.uint8]:
-        """(H, W) uint8, 1 where free."""
-        free: npt.NDArray[np.uint8] = (self.cells == 0).astype(np.uint8)
-        return free
-
-    @cached_property
     def motions(self) -> npt.NDArray[np.float64]:
         """(3, 3) x, y in cells and yaw."""
         size = max(self.shape)
