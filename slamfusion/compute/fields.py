@@ -264,11 +264,11 @@ class FieldDevice(ArrayDevice):
         """
         if self.opencl:
             n, chunks = len(poses), -(-a.shape[0] // (stride * COUNTED_ROWS))
-            partial = self.opencl.launch_new(
-                (n, chunks, 2), np.int32, "grid_error", (chunks, n), a, *a.shape, b, *b.shape,
-                self.upload(poses), n, stride, COUNTED_ROWS, chunks,
+            partial = self.opencl.launch_into(
+                np.empty((n, chunks, 2), np.int32), "grid_error", (chunks, n), a, *a.shape, b,
+                *b.shape, self.upload(poses), n, stride, COUNTED_ROWS, chunks,
             )  # fmt: skip
-            return np.asarray(self.download(partial).sum(axis=1, dtype=np.int64))
+            return np.asarray(partial.sum(axis=1, dtype=np.int64))
         y2, x2 = 2 * np.indices(a.shape, dtype=np.int64)[:, ::stride, ::stride] + 1
         own = host(a)[::stride, ::stride].astype(np.int64)
         out = np.zeros((len(poses), 2), dtype=np.int64)

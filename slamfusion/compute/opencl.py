@@ -10,6 +10,7 @@ import re
 import threading
 import warnings
 from collections import defaultdict
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Generic
@@ -290,13 +291,13 @@ class OpenCLDevice(ComputeDevice):
 
     # -- launching -----------------------------------------------------------------------------
 
-    def launch(self, name: str, size: tuple[int, ...], *arguments: Any) -> None:
+    def launch(self, name: str, size: tuple[int, ...], *arguments: Any) -> Any:
         """Start a kernel; its global size is rounded up to the fixed local size, 0 starts none.
 
-        Python's numbers become int32 and float32.
+        Python's numbers become int32 and float32. Returns the event of its end.
         """
         if 0 in size:
-            return
+            return None
         local = LOCAL_SIZES[len(size)]
         rounded = tuple(-(-s // part) * part for s, part in zip(size, local, strict=True))
         plain = [item.buffer if type(item) is OpenCLArray else item for item in arguments]
@@ -308,10 +309,11 @@ class OpenCLDevice(ComputeDevice):
                 kernel = cl.Kernel(self.program, name)
                 # The types of the numbers in its first launch: finding each takes 4 us.
                 kernel.set_scalar_arg_dtypes([_number_type(item) for item in plain])
-            kernel(self.queue, rounded, local, *plain)
+            event = kernel(self.queue, rounded, local, *plain)
             idle.append(kernel)
         except cl.Error as error:
             raise self._failed(f"kernel {name}", error) from error
+        return event
 
     def launch_new(
         self,
@@ -330,11 +332,24 @@ class OpenCLDevice(ComputeDevice):
         self, result: npt.NDArray[Scalar], name: str, size: tuple[int, ...], *arguments: Any
     ) -> npt.NDArray[Scalar]:
         """Start a kernel whose last argument is a host array to fill; return that array, filled."""
-        if result.size:
-            out = self.wrap_host(result, writable=True)
-            self.launch(name, size, *arguments, out)
-            self.map_host(out, result)
-        return result
+        return self.start_into(result, name, size, *arguments)()
+
+    def start_into(
+        self, result: npt.NDArray[Scalar], name: str, size: tuple[int, ...], *arguments: Any
+    ) -> Callable[[], npt.NDArray[Scalar]]:
+        """Start as ``launch_into`` does; return a function that waits and returns the array."""
+        out = self.wrap_host(result, writable=True) if result.size else None
+        event = None if out is None else self.launch(name, size, *arguments, out)
+
+        def filled() -> npt.NDArray[Scalar]:
+            # PoCL writes to the host's array itself: to map it would be two more commands.
+            if event is not None and self.is_pocl and self.shares_memory:
+                event.wait()
+            elif out is not None:
+                self.map_host(out, result)
+            return result
+
+        return filled
 
     def _reserve(self, flags: int, size: int, hostbuf: Any = None) -> Any:
         try:

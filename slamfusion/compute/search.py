@@ -192,14 +192,14 @@ def _scores(
     for points, motions, field, base in sides:
         moved, drop = narrow_motions(points, motions)
         n, chunks = moved.shape[1], -(-points.count // CHUNK_SCORED)
-        partial = device.launch_new(
-            (chunks, n, *shape), np.int32, kernel, (chunks * n,), points.planes, points.count,
-            points.planes.shape[1], device.upload(moved.astype(np.int64)), n, drop,
+        partial = device.start_into(
+            np.empty((chunks, n, *shape), np.int32), kernel, (chunks * n,), points.planes,
+            points.count, points.planes.shape[1], device.upload(moved.astype(np.int64)), n, drop,
             FIXED_TO_CELL_SHIFT - drop, field, *field.shape, base, CHUNK_SCORED, chunks,
         )  # fmt: skip
         started.append(partial)
     # All are started before the first is waited for.
-    return [device.download(sums).sum(axis=0, dtype=np.int32) for sums in started]
+    return [sums().sum(axis=0, dtype=np.int32) for sums in started]
 
 
 class SearchDevice(ArrayDevice):
@@ -302,13 +302,13 @@ class SearchDevice(ArrayDevice):
         for points, motions, cells, distance2 in sides:
             poses = motions.T.astype(np.int64)
             n, chunks = len(poses), -(-len(points) // CHUNK_POINTS)
-            partial = self.opencl.launch_new(
-                (n, chunks, 2 + 2 * len(limits2)), np.int32, "pose_counts", (chunks, n),
+            partial = self.opencl.start_into(
+                np.empty((n, chunks, 2 + 2 * len(limits2)), np.int32), "pose_counts", (chunks, n),
                 self.upload(points), len(points), self.upload(poses), n, cells, distance2,
                 *cells.shape, worths, base, given, len(limits2), CHUNK_POINTS, chunks,
             )  # fmt: skip
             started.append(partial)
-        return [np.asarray(self.download(part).sum(axis=1, dtype=np.int64)) for part in started]
+        return [np.asarray(part().sum(axis=1, dtype=np.int64)) for part in started]
 
     def pose_scores(self, *sides: ScoredSide) -> list[I32]:
         """Return of each side (P,) the sum of its field over its points under each of its motions.
@@ -359,14 +359,14 @@ class SearchDevice(ArrayDevice):
             for points, distance in (forward, backward):
                 sides += [points, points.shape[0], distance, *distance.shape]
                 chunks.append(-(-points.shape[0] // CHUNK_POINTS))
-            partial = self.opencl.launch_new(
-                (sum(chunks), n, REFINE_TERMS), np.float32, "refine_terms", (sum(chunks), n),
-                *sides, n, self.upload(motions), *centre, CHUNK_POINTS, chunks[0], sum(chunks),
+            parts = self.opencl.launch_into(
+                np.empty((sum(chunks), n, REFINE_TERMS), np.float32), "refine_terms",
+                (sum(chunks), n), *sides, n, self.upload(motions), *centre, CHUNK_POINTS,
+                chunks[0], sum(chunks),
             )  # fmt: skip
-            parts = self.download(partial)
-            ahead, back = parts[: chunks[0]], parts[chunks[0] :]
+            first, second = parts[: chunks[0]], parts[chunks[0] :]
             return np.asarray(
-                ahead.sum(axis=0, dtype=np.float64) + back.sum(axis=0, dtype=np.float64)
+                first.sum(axis=0, dtype=np.float64) + second.sum(axis=0, dtype=np.float64)
             )
         there, back, (scales,) = np.split(motions.astype(np.float64), (4, 8))
         ahead = _side_terms(forward, there.T, scales, centre, backward=False)

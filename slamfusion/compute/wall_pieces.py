@@ -122,13 +122,13 @@ class WallPieceDevice(ArrayDevice):
             (points, starts), _, words, base = side
             poses, turns = side.poses()
             pieces, n = starts.shape[0] - 1, len(poses)
-            sums = self.opencl.launch_new(
-                (3, n, pieces), np.int32, "piece_sums", (n, pieces), points, points.shape[1],
-                starts, pieces, int(sided), self.upload(poses), self.upload(turns), n, words,
-                *words.shape, base,
+            sums = self.opencl.start_into(
+                np.empty((3, n, pieces), np.int32), "piece_sums", (n, pieces), points,
+                points.shape[1], starts, pieces, int(sided), self.upload(poses),
+                self.upload(turns), n, words, *words.shape, base,
             )  # fmt: skip
             started.append(sums)
-        return [self.download(sums) for sums in started]
+        return [sums() for sums in started]
 
 
 def _piece_sums(side: PieceSide, *, sided: bool) -> I32:
