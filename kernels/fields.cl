@@ -130,8 +130,8 @@ __kernel void shrink(__global const uchar *walls, __global const char *cells, co
 /* Columns on either side of the map that no wall is in, so that looking along a row needs no edge. */
 #define DISTANCE_MARGIN DISTANCE_MAX
 
-/* First pass of the exact Euclidean distance (Meijster, Roerdink and Hesselink 2000): distance along
- * the column to the nearest wall, capped at DISTANCE_MAX.
+/* First pass of the exact Euclidean distance (Meijster, Roerdink and Hesselink 2000): squared distance
+ * along the column to the nearest wall, capped at DISTANCE_MAX squared.
  * walls (height, width) uchar, width a multiple of DISTANCE_LANES; out (height, width + 2
  * DISTANCE_MARGIN) ushort. Global: ((width + 2 DISTANCE_MARGIN) / DISTANCE_LANES). */
 __kernel void distance_columns(__global const uchar *walls, const int height, const int width,
@@ -141,7 +141,7 @@ __kernel void distance_columns(__global const uchar *walls, const int height, co
   if (at >= stride) return;
   ushort16 last = DISTANCE_MAX;
   if (col < 0 || col >= width) {
-    for (int row = 0; row < height; row++) STORE32(as_ulong4(last), out + row * stride + at);
+    for (int row = 0; row < height; row++) STORE32(as_ulong4(last * last), out + row * stride + at);
     return;
   }
   for (int row = 0; row < height; row++) {
@@ -154,7 +154,7 @@ __kernel void distance_columns(__global const uchar *walls, const int height, co
   for (int row = height - 1; row >= 0; row--) {
     const ushort16 above = as_ushort16(LOAD32(out + row * stride + at));
     last = LOWER(last + (ushort16)1, above);
-    STORE32(as_ulong4(last), out + row * stride + at);
+    STORE32(as_ulong4(last * last), out + row * stride + at);
   }
 }
 
@@ -165,8 +165,8 @@ INLINE bool any_above(const ushort16 lanes, const ushort value) {
   return (words.x | words.y | words.z | words.w) != 0;
 }
 
-/* Second pass: squared distance, the minimum over the row of column distance squared plus offset
- * squared, capped at reach squared; reach at most DISTANCE_MAX.
+/* Second pass: squared distance, the minimum over the row of that along the column plus offset squared,
+ * capped at reach squared; reach at most DISTANCE_MAX. Unrolled, so that squares of offsets are constants.
  * columns (height, width + 2 DISTANCE_MARGIN) ushort; out (height, width) ushort, width a multiple of
  * DISTANCE_LANES. Global: (width / DISTANCE_LANES, height). */
 __kernel void distance_rows(__global const ushort *columns, const int height, const int width,
@@ -175,17 +175,15 @@ __kernel void distance_rows(__global const ushort *columns, const int height, co
   if (col >= width || row >= height) return;
   __global const ushort *own = columns + row * (width + 2 * DISTANCE_MARGIN) + DISTANCE_MARGIN + col;
   ushort16 best = as_ushort16(LOAD32(own));
-  best = LOWER(best * best, (ushort16)(reach * reach));
-  ushort16 offset2 = 0, next = 1;
+  best = LOWER(best, (ushort16)(reach * reach));
   /* Nothing farther along the row can be nearer than the worst lane: look every eight steps. */
-  for (int from = 1; from < reach && any_above(best, (ushort)(from * from)); from += 8) {
+#pragma unroll
+  for (int from = 1; from < DISTANCE_MAX; from += 8) {
+    if (from >= reach || !any_above(best, (ushort)(from * from))) break;
 #pragma unroll
     for (int k = from; k < from + 8; k++) {
       const ushort16 left = as_ushort16(LOAD32(own - k)), right = as_ushort16(LOAD32(own + k));
-      const ushort16 near = LOWER(left, right);
-      offset2 += next;
-      next += (ushort)2;
-      const ushort16 through = near * near + offset2;
+      const ushort16 through = LOWER(left, right) + (ushort16)(k * k);
       best = LOWER(best, through);
     }
   }
