@@ -190,16 +190,18 @@ __kernel void distance_rows(__global const ushort *columns, const int height, co
   STORE32(as_ulong4(best), out + row * width + col);
 }
 
-/* out = table[in] where mask is not 0, otherwise[in] elsewhere: squared distances to distances in
- * 1/256 cell, say.
- * in, out (cells) ushort; mask (cells) uchar; tables ushort, one entry for every value of in.
- * Global: (ceil(cells / RUN)). */
-__kernel void look_up_where(__global const ushort *in, __global const uchar *mask,
-                            __global const ushort *table, __global const ushort *otherwise,
-                            const int cells, __global ushort *out) {
-  const int first = get_global_id(0) * RUN;
-  const int stop = first + RUN < cells ? first + RUN : cells;
-  for (int i = first; i < stop; i++) out[i] = mask[i] ? table[in[i]] : otherwise[in[i]];
+/* Distances in 1/256 cell from squared ones; DISTANCE_UNSEEN in cells without free space that are farther
+ * than `most` from walls.
+ * distance2, out (cells) ushort; free_share (cells) uchar; table ushort, one entry for every d2.
+ * Global: (ceil(cells / RUN)). All gathers of a run come first, see score_field. */
+__kernel void wall_distances(__global const ushort *distance2, __global const uchar *free_share,
+                             __global const ushort *table, const int most, const int cells,
+                             __global ushort *out) {
+  const int first = get_global_id(0) * RUN, run = LOWER(RUN, cells - first);
+  ushort distance[RUN];
+  for (int i = 0; i < run; i++) distance[i] = table[distance2[first + i]];
+  for (int i = 0; i < run; i++)
+    out[first + i] = free_share[first + i] || distance[i] <= most ? distance[i] : DISTANCE_UNSEEN;
 }
 
 /* What a wall point of the other map is worth in each cell:

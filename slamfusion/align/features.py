@@ -25,7 +25,6 @@ from slamfusion.compute.lattice import PointPlanes, point_planes
 from slamfusion.compute.layout import (
     DISTANCE_MAX,
     DISTANCE_ONE,
-    DISTANCE_TABLE,
     DISTANCE_UNSEEN,
     FACES,
     FACING_PARTS,
@@ -112,9 +111,8 @@ class Level:
     @cached_property
     def distance(self) -> DeviceArray[Any]:
         """(H, W) uint16, 1/256 cell, ``DISTANCE_UNSEEN`` in unseen cells."""
-        unseen = DISTANCE_TABLE.copy()
-        unseen[unseen > self.seen_cells * DISTANCE_ONE] = DISTANCE_UNSEEN
-        return self.device.look_up_where(self.distance2, self.free, DISTANCE_TABLE, unseen)
+        most = int(self.seen_cells * DISTANCE_ONE)
+        return self.device.wall_distances(self.distance2, self.free, most)
 
     @cached_property
     def host_distance2(self) -> U16:
@@ -124,8 +122,7 @@ class Level:
     @cached_property
     def far_distance(self) -> DeviceArray[Any]:
         """(H, W) uint16, 1/256 cell, in unseen cells too."""
-        tables = DISTANCE_TABLE, DISTANCE_TABLE
-        return self.device.look_up_where(self.distance2, self.free, *tables)
+        return self.device.wall_distances(self.distance2, self.free, DISTANCE_UNSEEN)
 
 
 def _kept(

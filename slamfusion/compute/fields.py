@@ -16,6 +16,8 @@ from slamfusion.compute.layout import (
     DISTANCE2_MAX,
     DISTANCE_LANES,
     DISTANCE_MAX,
+    DISTANCE_TABLE,
+    DISTANCE_UNSEEN,
     FIELD_ONE,
     FREE,
     OCCUPIED,
@@ -190,21 +192,21 @@ class FieldDevice(ArrayDevice):
         value -= free_share.astype(np.int32) * miss[distance2] // FIELD_ONE
         return np.clip(value, 0, FIELD_ONE).astype(np.uint8)
 
-    def look_up_where(
-        self,
-        values: DeviceArray[np.uint16],
-        mask: DeviceArray[np.uint8],
-        table: U16,
-        otherwise: U16,
+    def wall_distances(
+        self, distance2: DeviceArray[np.uint16], free_share: DeviceArray[np.uint8], most: int
     ) -> DeviceArray[np.uint16]:
-        """Return ``table[values]`` where the mask (uint8) is not 0, else ``otherwise[values]``."""
+        """Return (H, W) uint16, distance in 1/256 cell to the nearest wall.
+
+        ``DISTANCE_UNSEEN`` in cells without free space that are farther than ``most``, 1/256 cell.
+        """
         if self.opencl:
             return self.opencl.launch_new(
-                values.shape, np.uint16, "look_up_where", (-(-values.size // RUN),), values, mask,
-                self.opencl.table(table), self.opencl.table(otherwise), values.size,
+                distance2.shape, np.uint16, "wall_distances", (-(-distance2.size // RUN),),
+                distance2, free_share, self.opencl.table(DISTANCE_TABLE), most, distance2.size,
             )  # fmt: skip
-        values, mask = host(values), host(mask)
-        return np.where(mask != 0, table[values], otherwise[values]).astype(np.uint16)
+        distance = DISTANCE_TABLE[host(distance2)]
+        is_seen = (host(free_share) != 0) | (distance <= most)
+        return np.where(is_seen, distance, np.uint16(DISTANCE_UNSEEN))
 
     def max_ahead(self, field: DeviceArray[np.uint8], shift: int) -> DeviceArray[np.uint8]:
         """Return the largest of each cell, those ``shift`` farther along row and column, and both.

@@ -13,6 +13,7 @@ from slamfusion.compute.lattice import fixed_poses, point_planes, shift_spans
 from slamfusion.compute.layout import (
     DISTANCE2_MAX,
     DISTANCE_MAX,
+    DISTANCE_ONE,
     DISTANCE_TABLE,
     DISTANCE_UNSEEN,
     FIXED_ONE,
@@ -75,10 +76,10 @@ def _known_by_distance(device: ComputeDevice, sample: Sample) -> Arrays:
     return [device.known_by_distance(*(device.upload(plane) for plane in planes))]
 
 
-def _look_up_where(device: ComputeDevice, sample: Sample) -> Arrays:
-    distance2, mask = device.upload(sample.distance2), device.upload(sample.walls)
-    tables = (DISTANCE_TABLE, DISTANCE_TABLE[::-1].copy())
-    return [device.download(device.look_up_where(distance2, mask, *tables))]
+def _wall_distances(device: ComputeDevice, sample: Sample) -> Arrays:
+    distance2, free = device.upload(sample.distance2), device.upload(sample.field)
+    limits = (3 * DISTANCE_ONE, DISTANCE_UNSEEN)
+    return fetch(device, [device.wall_distances(distance2, free, most) for most in limits])
 
 
 def _max_ahead(device: ComputeDevice, sample: Sample) -> Arrays:
@@ -277,7 +278,7 @@ GRID_CHECKS: dict[str, Check] = {
     "shrink": _shrink,
     "distance_squared": _distance_squared,
     "known_by_distance": _known_by_distance,
-    "look_up_where": _look_up_where,
+    "wall_distances": _wall_distances,
     "score_field": _score_field,
     "max_ahead": _max_ahead,
     "warp": _warp,
