@@ -457,8 +457,10 @@ class FieldMemory:
         with self._lock:
             self._used.pop(id(fields), None)
             self._used[id(fields)] = fields
+            if not is_more:
+                return
             before, held = len(self._used), sum(math.prod(one.shape) for one in self._used.values())
-            while is_more and held > self._most and len(self._used) > LEAST_KEPT:
+            while held > self._most and len(self._used) > LEAST_KEPT:
                 oldest = self._used.pop(next(iter(self._used)))
                 held -= math.prod(oldest.shape)
                 oldest.release()
