@@ -25,7 +25,7 @@ from slamfusion.align.scores import walls_found
 from slamfusion.align.shifts import parallel_shifts
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig
-from slamfusion.errors import ConfigError, MemoryBudgetError
+from slamfusion.errors import ConfigError, GridError, MemoryBudgetError
 from slamfusion.geometry import F64
 from slamfusion.grid import OccupancyGrid
 
@@ -64,7 +64,7 @@ def align_at_any_scale(
 
     Raises:
         ConfigError: the factors are not positive or not in order.
-        GridError: a grid has no known cells.
+        GridError: a grid has no known or no occupied cells.
         MemoryBudgetError: at their common resolution the grids would not fit into memory.
     """
     began = time.perf_counter()
@@ -97,7 +97,7 @@ def wrong_resolution(
     None if it does not fit at another scale either.
     """
     search = _ScaleSearch(moving, (1.0 / FACTOR, FACTOR), config, device)
-    with suppress(MemoryBudgetError):
+    with suppress(GridError, MemoryBudgetError):
         scale, alignment = search.best(reference, search.gains(reference))
         if alignment.accepted and abs(scale - 1.0) >= SCALE_MAX:
             return (
@@ -162,7 +162,10 @@ class _ScaleSearch:
 
     def _ready(self, grid: OccupancyGrid, cell: float) -> GridFeatures:
         normalized = normalize_grid(grid, cell, self.config.normalize, self.device)
-        return GridFeatures(normalized, self.device)
+        features = GridFeatures(normalized, self.device)
+        if not len(features.wall_points):
+            raise GridError(f"{grid.name} has no occupied cell, so there is nothing to align")
+        return features
 
 
 def scaled(grid: OccupancyGrid, scale: float) -> OccupancyGrid:

@@ -117,8 +117,9 @@ def align_group(
     least = 1 if len(names) == 1 else LEAST_FUSED
     found = [group for group in found if len(group) >= least]
     if not found:
-        told = [f"{pair.moving} to {pair.reference}: {pair.reason}" for pair in pairs]
-        words = "; ".join([*reasons.values(), *told]) or "where starts put them no two can meet"
+        told = [f"{name}: {reason}" for name, reason in reasons.items()]
+        told += [f"{pair.moving} to {pair.reference}: {pair.reason}" for pair in pairs]
+        words = "; ".join(told) or "where starts put them no two can meet"
         listed = ", ".join(names)
         message = f"no two of the inputs {listed} align, so nothing is fused ({words})"
         raise AlignmentError(message, tuple(pairs))

@@ -65,7 +65,7 @@ class PreparedInputs:
                     grid, self._factor * self._resolution, config.normalize, device
                 )
             except GridError as error:
-                self.reasons[grid.name] = str(error)
+                self.reasons[grid.name] = str(error).removeprefix(f"{grid.name}: ")
                 continue
             if self._factor > 1:
                 # For alignment only, so its trinary cells stand for percentages.

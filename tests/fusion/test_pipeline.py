@@ -185,8 +185,15 @@ def test_two_unrelated_maps_fuse_to_nothing_and_both_are_named(device: ComputeDe
 def test_maps_without_known_cells_are_named(device: ComputeDevice) -> None:
     cells = np.full((20, 20), -1, dtype=np.int8)
     blank = [OccupancyGrid(cells, size, name=name) for name, size in (("a", 0.05), ("b", 0.1))]
-    with pytest.raises(AlignmentError, match="all 20 x 20 cells are unknown"):
+    with pytest.raises(AlignmentError, match=r"\(a: all 20 x 20 cells are unknown"):
         fuse_grids(blank, QUICK, device)
+
+
+def test_a_map_without_walls_is_named_and_the_others_fused(device: ComputeDevice) -> None:
+    grids, _ = three()
+    lawn = replace(grids[0], cells=np.zeros_like(grids[0].cells)).with_name("lawn")
+    (left_out,) = fuse_grids([*grids[:2], lawn], QUICK, device).rejected
+    assert left_out.reason == "to a: lawn has no occupied cell, so there is nothing to align"
 
 
 def test_an_unknown_map_among_three_is_named_and_the_others_fused(device: ComputeDevice) -> None:
@@ -196,7 +203,7 @@ def test_an_unknown_map_among_three_is_named_and_the_others_fused(device: Comput
     (fog,) = result.rejected
     assert fog.name == "fog"
     assert fog.alignment is None
-    assert "all 2 x 2 cells are unknown" in fog.reason
+    assert fog.reason.startswith("all 2 x 2 cells are unknown")
     assert len(result.pairs) == 1
 
 
