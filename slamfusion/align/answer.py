@@ -157,8 +157,7 @@ def _decided(
         decision = decide(evidence, statistics, rival, trials)
     if found.coarse.is_cut:
         said = (
-            "; walls fill the cells that were searched at every yaw; on finer ones only yaws with "
-            "parallel walls were"
+            "; walls are everywhere, so fine cells were searched only at yaws with parallel walls"
         )
         decision = decision._replace(reason=decision.reason + said)
     return evidence, decision

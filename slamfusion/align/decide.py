@@ -181,8 +181,8 @@ def decide_mirrored(mirrored: float | None) -> Decision | None:
         return None
     return Decision(
         "mirrored",
-        f"fits its mirror image as well or better, {mirrored:.1f} times: is a laser upside down, "
-        "or a map mirrored or transposed?",
+        "its mirror image fits as well or better: is a laser upside down, or a map mirrored or "
+        "transposed?",
     )
 
 
@@ -226,8 +226,8 @@ def _not_beaten(
     if is_enough(evidence.better):
         return Decision(
             "bent",
-            f"maybe here, but {evidence.expected_wrong:.2g} wrong answers are to be expected to "
-            f"look as good ({EXPECTED_WRONG_MAX:g} at most): {_contradiction(evidence)}",
+            f"maybe the same place, but {evidence.expected_wrong:.2g} wrong answers are expected "
+            f"to look as good (limit {EXPECTED_WRONG_MAX:g}): {_contradiction(evidence)}",
         )
     if evidence.nearest == "a shift of itself":
         return Decision(

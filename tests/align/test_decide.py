@@ -59,7 +59,7 @@ KINDS: tuple[tuple[dict[str, Any], DecisionKind, str], ...] = (
         "different place",
         "a chance fit of the mirror image 80% of that",
     ),
-    ({"mirrored": 2.0}, "mirrored", "fits its mirror image as well or better, 2.0 times"),
+    ({"mirrored": 2.0}, "mirrored", "its mirror image fits as well or better: is a laser"),
     ({"scale": 1.1}, "other scale", "differ in scale by 10.0%: is a resolution wrong?"),
 )
 
