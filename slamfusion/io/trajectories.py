@@ -38,6 +38,12 @@ _WANTED = (
     "names such columns, a log, or a reference graph"
 )
 
+# Units in a heading, in seconds, metres or radians.
+_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "m": 1.0, "cm": 1e-2, "mm": 1e-3}
+_UNITS |= {"rad": 1.0, "deg": math.pi / 180.0}
+# Columns of a pose, each with its unit; None: not known.
+Columns = list[tuple[int, float | None]]
+
 Row = tuple[float, float, float, float]
 
 
@@ -57,7 +63,8 @@ def read_trajectory(
     - 4 columns ``t x y theta``, sorted by time (equal times keep their order); rows out of order
       are counted in the log. A theta in degrees is refused if it jumps by more than two turns.
     - the same in other columns, separated by blanks or commas, under a heading that names them, as
-      in EuRoC. t is in seconds below 1e11, in ms below 1e14, in us below 1e17, else in ns.
+      in EuRoC, and may end in their units (``t_ns``, ``x [mm]``, ``yaw_deg``). Without one, t is in
+      seconds if all are below 1e11, in ms below 1e14, in us below 1e17, else in ns.
     - a reference graph: each ``VERTEX2`` with the stamp of the ``ROBOTLASER1`` after it, sorted
       by time; of equal stamps the first stays, with a warning.
     - any log or bag that ``open_log`` reads: the odometry of its scans.
@@ -86,6 +93,8 @@ def read_trajectory(
         message = f"{where}: wanted {_WANTED}, found no pose at all; give a file with poses"
         raise TrajectoryError(message)
     table = np.array(rows)
+    if columns is None or columns[0][1] is None:
+        table[:, 0] *= _second(table[:, 0])
     if table.shape[1] == _TUM:
         table = _in_plane(where, table, config)
     _check_yaw(where, table[:, 1:], warn)
@@ -97,35 +106,38 @@ def read_trajectory(
     return Trajectory(table[:, 0], table[:, 1:], name)
 
 
-def _first_fields(where: Path) -> tuple[list[bytes], list[int] | None]:
+def _first_fields(where: Path) -> tuple[list[bytes], Columns | None]:
     """Return the fields of the first data line, and a pose's columns if a heading names them."""
-    columns = None
+    columns: Columns | None = None
     for line in read_head(where).removeprefix(b"\xef\xbb\xbf").splitlines():
         named = _named_columns(_split(line.strip().lstrip(b"#%")))
         columns = columns if named is None else named
         fields = _fields(line)
         if fields and (_is_number(fields[0]) or named is None):
-            is_whole = columns is not None and max(columns) < len(fields)
+            is_whole = columns is not None and max(columns)[0] < len(fields)
             return fields, columns if is_whole else None
     return [], None
 
 
-def _named_columns(names: list[bytes]) -> list[int] | None:
-    """Return the columns of t x y theta, or t x y z qx qy qz qw, in a heading."""
-    plain = (name.decode("ascii", "replace").lower() for name in names)
-    words = [re.sub(r"\[.*?\]|[\"'\s]", "", name) for name in plain]
+def _named_columns(names: list[bytes]) -> Columns | None:
+    """Return the columns of t x y theta, or t x y z qx qy qz qw, in a heading, with their units.
+
+    A unit follows the name: ``time_ns``, ``p_x [mm]``, ``yaw (deg)``.
+    """
+    plain = [re.sub(r"[\"'\s]", "", name.decode("ascii", "replace").lower()) for name in names]
+    words = [re.sub(rf"[\[(].*|_({'|'.join(_UNITS)})$", "", name) for name in plain]
+    units = [_UNITS.get(re.sub(r".*[_\[(]|[\])]$", "", name)) for name in plain]
 
     def find(pattern: str) -> int | None:
         return next((i for i, word in enumerate(words) if re.fullmatch(pattern, word)), None)
 
-    time = find(r"(ipc_?)?(time_?stamp|time|stamp|t|sec|seconds)(_?n?s)?")
+    time = find("(ipc_?)?(time_?stamp|time|stamp|t|sec|seconds)s?")
     place = [find(rf"((p|t|pos\w*|translation)[._]?(\w+[._])*)?{axis}") for axis in "xyz"]
     turn = [find(rf"(q|quat\w*|rot\w*|orientation)[._]?(\w+[._])*{axis}") for axis in "xyzw"]
-    yaw = find("theta|yaw|heading")
     columns = [time, *place, *turn]
     if None in columns:
-        columns = [time, *place[:2], yaw]
-    return None if None in columns else [i for i in columns if i is not None]
+        columns = [time, *place[:2], find("theta|yaw|heading")]
+    return None if None in columns else [(i, units[i]) for i in columns if i is not None]
 
 
 def _split(line: bytes) -> list[bytes]:
@@ -143,8 +155,8 @@ def _fields(line: bytes) -> list[bytes]:
 # --- tables --------------------------------------------------------------------------------------
 
 
-def _rows(where: Path, first: list[bytes], columns: list[int] | None) -> Iterator[list[float]]:
-    """Yield t, x, y and yaw, or the 8 values of a TUM file, of every line; t in seconds."""
+def _rows(where: Path, first: list[bytes], columns: Columns | None) -> Iterator[list[float]]:
+    """Yield t, x, y and yaw, or the 8 values of a TUM file, of every line."""
     if columns is None:
         if len(first) not in {_PLANAR, _TUM} or not _is_number(first[0]):
             count = f"{len(first)} column{'s' if len(first) > 1 else ''}"
@@ -154,11 +166,11 @@ def _rows(where: Path, first: list[bytes], columns: list[int] | None) -> Iterato
                 f"{where}: wanted {_WANTED}, found {count}{cause}: {shown!r} in the first line; "
                 "check the file"
             )
-        columns = list(range(len(first)))
-    last_s = -math.inf
+        columns = [(i, None) for i in range(len(first))]
+    last = -math.inf
     for number, line in text_lines(where, TrajectoryError, kept_bytes=ROW_BYTES):
         fields = _fields(line)
-        if not fields or (last_s == -math.inf and _named_columns(fields) is not None):
+        if not fields or (last == -math.inf and _named_columns(fields) is not None):
             continue
         at = f"{where}: line {number}"
         if len(fields) != len(first):
@@ -166,8 +178,8 @@ def _rows(where: Path, first: list[bytes], columns: list[int] | None) -> Iterato
                 f"{at}: wanted {len(first)} columns as in the lines before, found {len(fields)}; "
                 "fix or remove the line"
             )
-        values = _floats([fields[i] for i in columns], at)
-        wrong = [columns[i] + 1 for i, value in enumerate(values) if not math.isfinite(value)]
+        values = _floats([fields[i] for i, _ in columns], at)
+        wrong = [columns[i][0] + 1 for i, value in enumerate(values) if not math.isfinite(value)]
         length = math.hypot(*values[4:]) if len(values) == _TUM else 1.0
         if wrong or not length:
             which = f"column {wrong[0]}" if wrong else "the quaternion of columns 5 to 8"
@@ -179,20 +191,18 @@ def _rows(where: Path, first: list[bytes], columns: list[int] | None) -> Iterato
                 f"{at}: the quaternion has length {length:.3g}, wanted 1; check that this is a TUM "
                 "file (t x y z qx qy qz qw)"
             )
-        values[0] = _seconds(values[0])
-        if len(values) == _TUM and values[0] < last_s:
+        if len(values) == _TUM and values[0] < last:
             raise TrajectoryError(
-                f"{at}: time goes back from {last_s:.6f} s to {values[0]:.6f} s; sort the lines by "
-                "time"
+                f"{at}: time goes back from {last:.6f} to {values[0]:.6f}; sort the lines by time"
             )
-        last_s = values[0]
-        yield values
+        last = values[0]
+        yield [value * (unit or 1.0) for value, (_, unit) in zip(values, columns, strict=True)]
 
 
-def _seconds(time: float) -> float:
-    """Return a time of unknown unit in seconds; see ``read_trajectory``."""
-    digits = next((d for d in (0, 3, 6) if abs(time) < _SECONDS_BELOW * 10.0**d), 9)
-    return time * 10.0**-digits
+def _second(times: F64) -> float:
+    """Return the seconds of the unknown unit of times; see ``read_trajectory``."""
+    latest = np.abs(times).max()
+    return 10.0 ** -next((d for d in (0, 3, 6) if latest < _SECONDS_BELOW * 10.0**d), 9)
 
 
 def _floats(fields: list[bytes], at: str) -> list[float]:

@@ -123,6 +123,27 @@ def test_a_heading_may_name_columns_in_any_order(tmp_path: Path) -> None:
     assert np.allclose(found.poses, POSES)
 
 
+@pytest.mark.parametrize(
+    ("heading", "units"),
+    [
+        ("time_ns,x_mm,y_cm,yaw_deg", (1e9, 1e3, 1e2, 180.0 / np.pi)),
+        ("t [ms],x [m],y [mm],theta (deg)", (1e3, 1.0, 1e3, 180.0 / np.pi)),
+    ],
+)
+def test_a_heading_has_the_units(tmp_path: Path, heading: str, units: tuple[float, ...]) -> None:
+    table = np.column_stack((STAMPS_S - STAMPS_S[0], POSES)) * units
+    found = read_trajectory(written(tmp_path, table, heading, between=","))
+    assert np.allclose(found.poses, POSES, atol=1e-6)
+    assert np.allclose(found.stamps_s, STAMPS_S - STAMPS_S[0])
+
+
+def test_all_times_of_a_file_have_one_unit(tmp_path: Path) -> None:
+    table = np.column_stack((np.linspace(50e9, 150e9, 30), POSES))
+    found = read_trajectory(written(tmp_path, table))
+    assert np.allclose(found.poses, POSES)
+    assert found.stamps_s[-1] == pytest.approx(3.0 * found.stamps_s[0])
+
+
 def test_nanoseconds_in_a_tum_file(tmp_path: Path) -> None:
     table = rows()
     table[:, 0] *= 1e9

@@ -117,7 +117,7 @@ def test_a_vertex_of_three_digits_takes_the_pose_of_its_scan(tmp_path: Path) -> 
         (["1 0 0 0", "2 0 nan 0"], "line 2, column 3 of 4: not a finite pose"),
         ([f"1 0 0 0 {TURN}", f"inf 0 0 0 {TURN}"], "line 2, column 1 of 8: not a finite pose"),
         ([f"1 0 0 0 {TURN}", "2 0 0 0 0 0 0 0"], "line 2, the quaternion of columns 5 to 8"),
-        ([f"2 0 0 0 {TURN}", f"1 0 0 0 {TURN}"], "line 2: time goes back from 2.000000 s"),
+        ([f"2 0 0 0 {TURN}", f"1 0 0 0 {TURN}"], "line 2: time goes back from 2.000000 to 1"),
         (["1 2 0.5 0.1 0 0 0 0.2"], "line 1: the quaternion has length 0.2"),
         (["VERTEX2 0 1 2 0.5", "EDGE2 0 1 1 1 0 1 0 1 1 0 0"], "no ROBOTLASER1 line"),
         (["VERTEX2 0 1 2"], "line 1: wanted 'VERTEX2 id x y theta'"),
