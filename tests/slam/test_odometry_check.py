@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 
-from slamfusion.geometry import Pose2, compose_poses, invert_poses
+from slamfusion.geometry import Pose2, compose_poses, invert_poses, wrap_angles
 from slamfusion.slam.common.odometry_check import (
     contradictions,
     fit_odometry,
@@ -64,6 +64,12 @@ def seen(path: Trajectory, *, yaw_deg: float = 0.0, is_mirrored: bool = False) -
     return Trajectory(path.stamps_s, compose_poses(poses, [mount.x, mount.y, mount.yaw_rad]))
 
 
+def in_degrees(path: Trajectory) -> Trajectory:
+    """Return the path as odometry that writes its yaw in degrees, -180 to 180."""
+    yaws_deg = np.degrees(wrap_angles(path.poses[:, 2]))
+    return Trajectory(path.stamps_s, np.column_stack((path.poses[:, :2], yaws_deg)))
+
+
 PATH = course()
 
 
@@ -80,6 +86,9 @@ PATH = course()
         (PATH, seen(PATH, yaw_deg=20.0, is_mirrored=True), ["--laser mirrored", "20 degrees"]),
         (course(length=0.8), PATH, ["1.25 times as long"]),
         (course(turn=1.3), PATH, ["0.77 times as far"]),
+        (course(length=0.8, turn=0.8), PATH, ["1.25 times as long"]),
+        (course(length=0.8, turn=1.3), PATH, ["0.77 times as far", "1.25 times as long"]),
+        (in_degrees(PATH), PATH, ["is in degrees"]),
         (course(seed=1), PATH, ["turns unlike"]),
     ],
 )
@@ -108,6 +117,7 @@ def test_only_the_mounting_of_the_laser_is_its_fault() -> None:
     assert laser_fault(PATH, PATH) is None
     assert laser_fault(course(length=0.8), PATH) is None
     assert laser_fault(None, PATH) is None
+    assert laser_fault(in_degrees(course(seed=10)), course(seed=10)) is None
 
 
 @pytest.mark.parametrize(("wrong", "words"), [(slice(0, 400), ""), (slice(450, 600), "mirrored")])

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -36,6 +36,8 @@ SPREAD = 0.4
 TOGETHER = 0.5
 # Least deviations that are reported: angle of the laser's mount, and scale of the odometry.
 OFFSET_RAD, SCALE = math.radians(5.0), 0.1
+# Turns poses with yaws in degrees into such in radians.
+DEGREES = (1.0, 1.0, math.pi / 180.0)
 # Least angle at which the laser looks back.
 BACKWARD_RAD = math.radians(150.0)
 
@@ -130,6 +132,11 @@ def contradictions(
         )
         return
     fit = fit_odometry(odometry, path, newest=newest)
+    if fit.turn is not None and not _turns_alike(fit):
+        radians = replace(odometry, poses=odometry.poses * DEGREES)
+        if _turns_alike(fit_odometry(radians, path, newest=newest)):
+            yield "the yaw of the odometry is in degrees: give it in radians"
+            return
     if fit.turn is not None and fit.turns_together < TOGETHER:
         yield (
             f"the path turns unlike the odometry ({100 * fit.turns_together:.0f} % of the turns "
@@ -137,9 +144,11 @@ def contradictions(
             "map"
         )
         return
-    if fit.turn is not None and fit.turn > 0.0 and abs(fit.turn - 1.0) > SCALE:
+    # A wrong wheel radius changes turns as much as lengths.
+    turn = 1.0 if fit.turn is None else fit.turn
+    if turn > 0.0 and min(abs(turn / usual - 1.0) for usual in (1.0, fit.length or 1.0)) > SCALE:
         yield (
-            f"the path turns {fit.turn:.2f} times as far as the odometry: check the distance "
+            f"the path turns {turn:.2f} times as far as the odometry: check the distance "
             "between the wheels that the odometry assumes"
         )
     if fit.length is not None and (fit.offset_rad is None or fit.drives_together < TOGETHER):
@@ -158,6 +167,10 @@ def contradictions(
         )
 
 
+def _turns_alike(fit: OdometryFit) -> bool:
+    return fit.turn is not None and abs(fit.turn - 1.0) <= SCALE and fit.turns_together >= TOGETHER
+
+
 def laser_fault(odometry: Trajectory | None, path: Trajectory | None) -> str | None:
     """Describe a laser that is mounted differently from the log; None if the paths show none."""
     if odometry is None or path is None:
@@ -167,7 +180,7 @@ def laser_fault(odometry: Trajectory | None, path: Trajectory | None) -> str | N
 
 def _laser_faults(fit: OdometryFit) -> Iterator[str]:
     """Yield a sentence for each way in which the laser's mount contradicts the log."""
-    if fit.turn is not None and fit.turn < 0.0 and fit.turns_together >= TOGETHER:
+    if fit.turn is not None and fit.turn < -SPREAD and fit.turns_together >= TOGETHER:
         yield (
             f"the path turns against the odometry (slope {fit.turn:+.2f}): the laser is mounted "
             "upside down or turns the other way, and the map is mirrored; use --laser mirrored "
