@@ -24,16 +24,17 @@ UNITS = {"s": "s", "m": "m", "m2": "m2", "hz": "Hz", "deg": "deg", "percent": "%
     examples=["info drive.log.gz", "info drive.bag --json", "info out/fused.yaml", "info out"],
 )
 @click.argument("path", metavar="LOG|BAG|MAP|RUN", type=FILE)
+@options.resolution
 @options.settings("log", "map_files")
 @options.common
-def command(path: Path, config: RunConfig) -> None:
+def command(path: Path, resolution: float | None, config: RunConfig) -> None:
     """Describe a log, a bag, a map or a run.
 
     Shows duration, scans, laser, odometry and topics of a log or bag, size and area of a map, and
     the recommendation of a run; then what is odd, and what to do.
     """
     with progress_bar() as progress:
-        found = jobs.info.describe(path, config, progress)
+        found = jobs.info.describe(path, config, progress, resolution=resolution)
     if print_if_json(found):
         return
     (record,) = (item for item in (found.log, found.map, found.run) if item is not None)

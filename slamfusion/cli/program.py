@@ -141,6 +141,8 @@ def _usage_message(error: click.UsageError) -> str:
         ask = f"; did you mean {near[0]!r}?" if near else ""
         message = f"{error.option_name!r} is not an option{ask}"
     path = error.ctx.command_path if error.ctx is not None else "slamfusion"
+    if error.ctx is not None and "unexpected extra argument" in message:
+        message += f"; wanted {' '.join(error.ctx.command.collect_usage_pieces(error.ctx)[1:])}"
     return f"{message[0].lower()}{message[1:]}; see {path} --help"
 
 

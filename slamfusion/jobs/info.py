@@ -132,16 +132,20 @@ class InfoDocument:
 
 
 def describe(
-    path: str | Path, config: RunConfig | None = None, progress: Progress | None = None
+    path: str | Path,
+    config: RunConfig | None = None,
+    progress: Progress | None = None,
+    *,
+    resolution: float | None = None,
 ) -> InfoDocument:
-    """Describe a log, a bag, a map or a run."""
+    """Describe a log, a bag, a map (of an image alone: with its resolution, metres) or a run."""
     path, config = Path(path), config or RunConfig()
     if (path / RUN_RECORD).exists():
         return _run_info(path)
     is_bag_folder = (path / "metadata.yaml").exists()
     has_maps = path.is_dir() and not is_bag_folder and any(path.glob("*.yaml"))
     if path.suffix.lower() in MAP_SUFFIXES or has_maps:
-        return _map_info(map_file(path), config)
+        return _map_info(map_file(path), config, resolution)
     return _log_info(path, config, progress or (lambda *_: None))
 
 
@@ -203,12 +207,16 @@ def _log_info(path: Path, config: RunConfig, progress: Progress) -> InfoDocument
     return InfoDocument(path, log=found, remarks=list(dict.fromkeys(remarks)))
 
 
-def _map_info(path: Path, config: RunConfig) -> InfoDocument:
+def _map_info(path: Path, config: RunConfig, resolution: float | None) -> InfoDocument:
     remarks: list[str] = []
-    (grid,) = load_maps([path], config, warn=remarks.append)
+    (grid,) = load_maps([path], config, resolution=resolution, warn=remarks.append)
     walls_m2 = float((grid.cells == OCCUPIED).sum() * grid.resolution**2)
+    known_m2 = float((grid.cells != UNKNOWN).sum() * grid.resolution**2)
     if not walls_m2:
         remarks.append("no wall in it: it aligns with no other map")
+    elif 2.0 * walls_m2 > known_m2:
+        share = f"{walls_m2 / known_m2:.0%} of what is known"
+        remarks.append(f"{share} is wall: check 'negate' and 'mode' in its YAML")
     found = MapInfo(
         width=grid.width,
         height=grid.height,
@@ -216,7 +224,7 @@ def _map_info(path: Path, config: RunConfig) -> InfoDocument:
         origin_x_m=grid.origin.x,
         origin_y_m=grid.origin.y,
         origin_yaw_deg=math.degrees(grid.origin.yaw_rad),
-        known_m2=float((grid.cells != UNKNOWN).sum() * grid.resolution**2),
+        known_m2=known_m2,
         walls_m2=walls_m2,
     )
     return InfoDocument(path, map=found, remarks=remarks)

@@ -76,6 +76,19 @@ def test_a_map_has_its_size_and_area(capsys: pytest.CaptureFixture[str]) -> None
     assert (document["map"]["width"], document["map"]["resolution_m"]) == (332, 0.05)
     assert run_program(["info", str(SAMPLE / "map_a.yaml")]) == 0
     assert "\nresolution [m]\t0.05\n" in capsys.readouterr().out
+    bare = [str(SAMPLE / "map_a.pgm"), "--resolution", "0.1"]
+    assert run_program(["info", *bare]) == 0
+    assert "\nresolution [m]\t0.1\n" in capsys.readouterr().out
+    assert run_program(["info", "a.yaml", "b.yaml"]) == 2
+    assert "(b.yaml); wanted LOG|BAG|MAP|RUN; see slamfusion info" in capsys.readouterr().err
+
+
+def test_a_map_that_is_mostly_wall_is_named(tmp_path: Path) -> None:
+    text = (SAMPLE / "map_a.yaml").read_text(encoding="utf-8").replace("negate: 0", "negate: 1")
+    path = tmp_path / "map.yaml"
+    path.write_text(text.replace("map_a.pgm", str(SAMPLE / "map_a.pgm")), encoding="utf-8")
+    assert any("is wall: check 'negate'" in remark for remark in describe(path).remarks)
+    assert not describe(SAMPLE / "map_a.yaml").remarks
 
 
 def test_a_run_has_its_recommendation_and_a_damaged_record_is_named(
