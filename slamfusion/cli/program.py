@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import logging
 import os
 import sys
 import traceback
@@ -64,6 +65,8 @@ def run_program(arguments: Sequence[str]) -> int:
             stream.reconfigure(errors="backslashreplace")
     if wanted := os.environ.get(COMPLETE):
         return shell_complete(cli, {}, "slamfusion", COMPLETE, wanted)
+    if logging.lastResort is not None:
+        logging.lastResort.setFormatter(logging.Formatter("slamfusion: %(message)s"))
     settings = Settings(arguments=tuple(arguments))
     code = _run(list(arguments), settings)
     with contextlib.suppress(OSError):

@@ -6,6 +6,8 @@ errors); Umeyama, PAMI 13(4), 1991 (the alignment, here in the plane and without
 
 from __future__ import annotations
 
+import logging
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -29,6 +31,8 @@ from slamfusion.geometry import (
 from slamfusion.grid import IDENTITY
 from slamfusion.json_values import POSE
 from slamfusion.trajectory import Trajectory, clock_advice
+
+_LOG = logging.getLogger(__name__)
 
 # Step of the compared motions, seconds, and window of the refinement.
 STEP_S, WINDOW_S = 0.1, 1.0
@@ -117,13 +121,32 @@ def _rates(path: Trajectory) -> F64:
     return np.asarray(rates / max(np.sqrt((rates**2).sum() / max(len(rates), 1)), 1e-9))
 
 
-def _window_error(path: Trajectory, reference: Trajectory, offset_s: float) -> float:
-    """Return the mean squared difference of the motions in windows at an offset."""
+def _windows(path: Trajectory, reference: Trajectory, offset_s: float) -> tuple[F64, F64]:
+    """Return the motions of both in the windows that they share at an offset."""
     begin_s = max(path.stamps_s[0], reference.stamps_s[0] - offset_s)
     end_s = min(path.stamps_s[-1], reference.stamps_s[-1] - offset_s) - WINDOW_S
     times_s = np.arange(begin_s, max(end_s, begin_s + STEP_S), STEP_S)
-    own, other = _motion(path, times_s, WINDOW_S), _motion(reference, times_s + offset_s, WINDOW_S)
+    return _motion(path, times_s, WINDOW_S), _motion(reference, times_s + offset_s, WINDOW_S)
+
+
+def _window_error(path: Trajectory, reference: Trajectory, offset_s: float) -> float:
+    """Return the mean squared difference of the motions in windows at an offset."""
+    own, other = _windows(path, reference, offset_s)
     return float(((own - other) ** 2).mean())
+
+
+def _warn_of_mirror(path: Trajectory, truth: Trajectory) -> None:
+    """Warn of a path that turns the other way than the truth on the same clock."""
+    own, other = (motion[:, 1] for motion in _windows(path, truth, 0.0))
+    correlation = (own @ other) / max(math.sqrt((own @ own) * (other @ other)), 1e-9)
+    if correlation < -LEAST_CORRELATION:
+        _LOG.warning(
+            "%s turns against %s (correlation %.2f): is one of them mirrored, with y and yaw "
+            "negated?",
+            path.name,
+            truth.name,
+            correlation,
+        )
 
 
 def _unlike(path: Trajectory, reference: Trajectory, why: str) -> TrajectoryError:
@@ -215,6 +238,7 @@ def trajectory_errors(
     own, true = associate(estimate, truth, config.tolerance_s)
     if len(own) < 2:
         raise TrajectoryError(_no_match(estimate, truth, len(own), config.tolerance_s))
+    _warn_of_mirror(estimate, truth)
     poses, true_poses = estimate.poses[own], truth.poses[true]
     motion = fit_motion(poses, true_poses) if config.alignment == "se2" else IDENTITY
     aligned = moved_poses(motion, poses)

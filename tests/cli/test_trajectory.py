@@ -70,4 +70,13 @@ def test_odometry_lets_every_relation_count(
 def test_a_path_of_positions_alone_is_named(tmp_path: Path) -> None:
     truth = tum(tmp_path / "gps.tum", [(t, x, float(t == 2.0), 0.0) for t, x, _, _ in TRUTH])
     done = run("trajectory", tum(tmp_path / "slam.tum", ESTIMATE), "--truth", truth)
-    assert done.stderr.startswith(f"{truth}: all 4 poses have one yaw, but the path turns")
+    assert done.stderr.startswith(f"slamfusion: {truth}: all 4 poses have one yaw, but")
+
+
+def test_a_mirrored_truth_is_named(tmp_path: Path) -> None:
+    rows = [(0.5 * i, math.sin(0.2 * i), 1.0 - math.cos(0.2 * i), 0.2 * i) for i in range(40)]
+    path = tum(tmp_path / "slam.tum", rows)
+    mirrored = tum(tmp_path / "true.tum", [(t, x, -y, -yaw_rad) for t, x, y, yaw_rad in rows])
+    found = run("trajectory", path, "--truth", mirrored)
+    assert "slamfusion: slam turns against true (correlation -1.00): is one" in found.stderr
+    assert "turns against" not in run("trajectory", path, "--truth", path).stderr
