@@ -28,8 +28,8 @@ _LOGGER = logging.getLogger(__name__)
 _SECONDS_BELOW = 1e11
 # Quaternions of few digits are this far from length 1.
 _QUATERNION_SLACK = 0.05
-# Columns of ``t x y theta``, and of a TUM file.
-_PLANAR, _TUM = 4, 8
+# Columns of ``t x y theta``, of a TUM file, and of the matrices of KITTI.
+_PLANAR, _TUM, _KITTI = 4, 8, 12
 # Limits of a robot on a floor: tilt; climb in metres and as a share of the travelled extent; way
 # to the side in metres if it never turns.
 _TILT_MAX_DEG, _CLIMB_MAX_M, _CLIMB_MAX, _ASIDE_MAX_M = 30.0, 0.5, 0.5, 0.5
@@ -141,10 +141,11 @@ def _named_columns(names: list[bytes]) -> Columns | None:
 
 
 def _split(line: bytes) -> list[bytes]:
-    """Return the fields of a line, separated by commas, or else blanks."""
-    if b"," in line:
-        return [item.strip() for item in line.rstrip(b", \t\r\n").split(b",")]
-    return line.split()
+    """Return the fields of a line, separated by semicolons or commas, or else blanks."""
+    mark = next((mark for mark in (b";", b",") if mark in line), None)
+    if mark is None:
+        return line.split()
+    return [item.strip() for item in line.rstrip(mark + b" \t\r\n").split(mark)]
 
 
 def _fields(line: bytes) -> list[bytes]:
@@ -160,7 +161,8 @@ def _rows(where: Path, first: list[bytes], columns: Columns | None) -> Iterator[
     if columns is None:
         if len(first) not in {_PLANAR, _TUM} or not _is_number(first[0]):
             count = f"{len(first)} column{'s' if len(first) > 1 else ''}"
-            cause = ", the first of them no time" if len(first) in {_PLANAR, _TUM} else ""
+            causes = dict.fromkeys((_PLANAR, _TUM), ", the first of them no time")
+            cause = (causes | {_KITTI: " as in KITTI, without a time"}).get(len(first), "")
             shown = _printable(b" ".join(first))
             raise TrajectoryError(
                 f"{where}: wanted {_WANTED}, found {count}{cause}: {shown!r} in the first line; "

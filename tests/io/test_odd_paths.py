@@ -109,11 +109,12 @@ def test_rows_of_euroc(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "heading", ["time,x,y,theta", "# stamp, x, y, yaw", "\ufefft,x,y,heading", "# a comment"]
 )
-@pytest.mark.parametrize("between", [",", ", "])
+@pytest.mark.parametrize("between", [",", ", ", ";"])
 def test_headings_with_commas_and_marks(tmp_path: Path, heading: str, between: str) -> None:
     table = np.column_stack((STAMPS_S, POSES))
     path = written(tmp_path, table, heading, between=between)
-    path.write_text(path.read_text(encoding="utf-8").replace("\n", ",\n"), encoding="utf-8")
+    text = path.read_text(encoding="utf-8").replace("\n", ",\n")
+    path.write_text(text.replace(",", between), encoding="utf-8")
     assert np.allclose(read_trajectory(path).poses, POSES)
 
 
@@ -142,6 +143,12 @@ def test_all_times_of_a_file_have_one_unit(tmp_path: Path) -> None:
     found = read_trajectory(written(tmp_path, table))
     assert np.allclose(found.poses, POSES)
     assert found.stamps_s[-1] == pytest.approx(3.0 * found.stamps_s[0])
+
+
+def test_poses_of_kitti_are_named(tmp_path: Path) -> None:
+    path = written(tmp_path, np.tile(np.eye(3, 4).ravel(), (3, 1)))
+    with pytest.raises(TrajectoryError, match="12 columns as in KITTI, without a time"):
+        read_trajectory(path)
 
 
 def test_nanoseconds_in_a_tum_file(tmp_path: Path) -> None:
