@@ -127,15 +127,16 @@ def _reader(where: Path) -> Reader:
             f"bag's folder or a log file{logs and f' in it ({logs})'}"
         )
     head = read_head(where)
-    suffix = _suffix(where)
+    suffix, known = _suffix(where), _reader_by_content(head)
     if suffix not in _READERS:
+        advice = "give the log; it stands before maps and paths"
         raise LogError(
             f"{where}: wanted a log named {', '.join(_READERS)} (text also .gz) or a ROS 2 bag's "
-            f"folder, found {suffix or 'no extension'!r}; rename it by its kind"
+            f"folder, found {suffix or 'no extension'!r}; "
+            f"{'rename it by its kind' if known is not None else advice}"
         )
     if not head:
         raise LogError(f"{where}: the file is empty; give a log with scans")
-    known = _reader_by_content(head)
     if known is not None:
         return known
     if _READERS[suffix] is not _bag_log and head.translate(None, _NO_TEXT) != head:

@@ -70,6 +70,13 @@ def test_an_unknown_extension_is_refused_whatever_is_inside(tmp_path: Path, name
     assert ".mcap" in message
 
 
+def test_a_path_or_a_map_is_not_to_be_renamed(tmp_path: Path) -> None:
+    with pytest.raises(LogError, match="tum'; give the log; it stands before maps and"):
+        open_log(write_lines(tmp_path / "graph.tum", "1 0 0 0 0 0 0 1"))
+    with pytest.raises(LogError, match="scans'; rename it by its kind"):
+        open_log(write_lines(tmp_path / "drive.scans", flaser(1)))
+
+
 @pytest.mark.parametrize("name", ["a.log", "a.clf", "a.txt", "a.dat"])
 def test_binary_junk_is_refused(tmp_path: Path, name: str) -> None:
     path = tmp_path / name
