@@ -20,7 +20,7 @@ from slamfusion.evaluation.measured import (
 )
 from slamfusion.evaluation.trajectory_error import on_clock
 from slamfusion.evidence.beams import judged_scans
-from slamfusion.evidence.predictive import PathEvidence, score_paths
+from slamfusion.evidence.predictive import PathEvidence, score_paths, with_path
 from slamfusion.evidence.recommendation import RankedPath, Recommendation, recommend
 from slamfusion.fusion.groups import LEAST_FUSED
 from slamfusion.io import open_log, read_trajectory, write_tum
@@ -176,7 +176,7 @@ def judge_paths(
         fused_path, with_fused = _fuse(read, evidence)
         evidence, every = with_fused or evidence, {**read, FUSED: fused_path.trajectory}
     found = recommend(evidence, tuple(read), fused=None if fused_path is None else FUSED)
-    found = _with_sensor_faults(found, wheels, every.get(found.path or ""), warn)
+    found = _with_sensor_faults(found, evidence, wheels, every.get(found.path or ""), warn)
     not_measured = []
 
     def measured(path: Trajectory) -> Measures:
@@ -264,10 +264,22 @@ def write_judgement(found: JudgedPaths, directory: str | Path) -> Path:
 
 
 def _with_sensor_faults(
-    found: Recommendation, wheels: Trajectory | None, path: Trajectory | None, warn: Warn
+    found: Recommendation,
+    evidence: PathEvidence,
+    wheels: Trajectory | None,
+    path: Trajectory | None,
+    warn: Warn,
 ) -> Recommendation:
     """Add a laser that contradicts the odometry; tell of odometry that contradicts the path."""
     fault = laser_fault(wheels, path)
+    if fault is not None and path is not None:
+        # The image of a path that a mirrored laser made fits its scans worse.
+        image = replace(path, poses=path.poses * (1.0, -1.0, -1.0))
+        scores = with_path(evidence, "its image", image).scores
+        is_better = scores["its image"].consistency > scores[found.path or ""].consistency
+        if is_better and laser_fault(wheels, image) is None:
+            warn(f"{found.path}: the path is mirrored: negate its y and yaw")
+            return found
     for sentence in () if wheels is None or path is None else contradictions(wheels, path):
         if sentence not in (fault or ""):
             warn(f"{found.path}: {sentence}")
