@@ -20,7 +20,6 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import importlib.util
 import os
 import sys
 import tempfile
@@ -35,7 +34,6 @@ from geometry_msgs.msg import PoseStamped
 from rich.table import Table
 
 from slamfusion.compute import open_device
-from slamfusion.compute.device import VENDORS
 from slamfusion.config import RunConfig, SimulateConfig, TrajectoryConfig
 from slamfusion.evaluation.trajectory_error import trajectory_errors
 from slamfusion.io import open_log
@@ -47,6 +45,7 @@ from slamfusion.sim.courses import named_course, with_overrides
 from slamfusion.sim.simulate import Recording, simulate
 from slamfusion.slam.registry import make_producer
 from slamfusion.trajectory import Trajectory
+from tests.benchmarks.bench_hours import pocl_alone
 from tests.benchmarks.record import add_record_option, console_for
 from tests.ros.drives import as_sent
 from tests.ros.live import Observer, Process, Processes, free_domain, ros_environment, values
@@ -119,13 +118,6 @@ def memory_mb(number: int) -> tuple[float, float]:
     lines = Path(f"/proc/{number}/smaps_rollup").read_text().splitlines()
     kilobytes = dict(line.split()[:2] for line in lines[1:])
     return 1.024e-3 * int(kilobytes["Rss:"]), 1.024e-3 * int(kilobytes["Pss:"])
-
-
-def pocl_alone() -> dict[str, str]:
-    """Return the environment in which OpenCL's loader loads the PoCL of the wheels alone."""
-    spec = importlib.util.find_spec("pyopencl")
-    entry = Path(spec.origin if spec and spec.origin else "").parent / ".libs" / "pocl.icd"
-    return {VENDORS: str(entry)} if entry.exists() else {}
 
 
 def cpu_s(number: int) -> dict[str, float]:
