@@ -132,19 +132,22 @@ class MapDrawer:
         for part in parts:  # placed again: all beams at once take more than their map
             whole = Beams.of(scans[part], poses[part], resolution)
             beams = _cut_off(whole, walls, corner, self._device, resolution)
-            ends, firsts = self._stopped.place(beams), beams.firsts[1:-1]
+            ends, stopped = self._stopped.place(beams), np.flatnonzero(~beams.is_hit)
             self._stopped.count(beams, ends, 1)
-            own = np.split(ends, firsts), np.split(beams.is_hit, firsts)
-            for laid in map(_LaidScan, scans[part], poses[part], *own):
-                self._laid[laid.scan.stamp_s] = laid
+            firsts = beams.firsts[:-1]
+            own = np.split(stopped, stopped.searchsorted(firsts[1:]))
+            for scan, pose, first, at in zip(scans[part], poses[part], firsts, own, strict=True):
+                self._laid[scan.stamp_s] = _LaidScan(scan, pose, at - first, ends[at])
 
     def _take_back(self, moved: Sequence[_LaidScan]) -> None:
         """Take scans back that were counted."""
-        scans, poses, ends, is_hit = zip(*moved, strict=True)
+        scans, poses, stopped, stops = zip(*moved, strict=True)
         beams = Beams.of(scans, poses, self.lattice.resolution)
-        self._whole.count(beams, self._whole.ends(beams), -1)
-        stopped = replace(beams, is_hit=np.concatenate(is_hit))
-        self._stopped.count(stopped, np.concatenate(ends), -1)
+        ends, is_hit = self._whole.ends(beams), beams.is_hit.copy()
+        self._whole.count(beams, ends, -1)
+        at = np.concatenate(stopped) + np.repeat(beams.firsts[:-1], [len(own) for own in stopped])
+        ends[at], is_hit[at] = np.concatenate(stops), False
+        self._stopped.count(replace(beams, is_hit=is_hit), ends, -1)
         for scan in scans:
             del self._laid[scan.stamp_s]
 
@@ -154,13 +157,14 @@ class _LaidScan(NamedTuple):
 
     Attributes:
         pose: on the lattice, metres and radians.
-        ends, is_hit: its beams that stop at walls: see ``BeamCounts.place``, and ``Beams``.
+        stopped: (K,) int64, its beams that stop at walls; they hit nothing.
+        stops: (K, 2) int32, where: see ``BeamCounts.place``.
     """
 
     scan: ScanHits
     pose: Row
-    ends: I32
-    is_hit: B8
+    stopped: I64
+    stops: I32
 
 
 def _is_wall(hits: U32, visits: U32) -> B8:
