@@ -126,7 +126,8 @@ def _named_columns(names: list[bytes]) -> Columns | None:
     """
     plain = [re.sub(r"[\"'\s]", "", name.decode("ascii", "replace").lower()) for name in names]
     words = [re.sub(rf"[\[(].*|_({'|'.join(_UNITS)})$", "", name) for name in plain]
-    units = [_UNITS.get(re.sub(r".*[_\[(]|[\])]$", "", name)) for name in plain]
+    ends = [re.search(r"[_\[(]([a-z]+)[\])]?$", name) for name in plain]
+    units = [None if end is None else _UNITS.get(end[1]) for end in ends]
 
     def find(pattern: str) -> int | None:
         return next((i for i, word in enumerate(words) if re.fullmatch(pattern, word)), None)
