@@ -72,6 +72,6 @@ def test_where_walls_fill_the_coarse_cells_parallel_walls_lead_to_the_answer(
     a, b = max(site.neighbours, key=lambda pair: site.neighbours[pair])
     found = align_pair(Pair(features[a], features[b]), config)
     assert found.accepted
-    assert found.reason.endswith("on finer ones only yaws with parallel walls were")
+    assert found.reason.endswith("fine cells were searched only at yaws with parallel walls")
     error = transform(site, a, b).inverse().compose(found.transform)
     assert math.hypot(error.x, error.y) < 0.3

@@ -159,7 +159,7 @@ def test_maps_that_are_mirrored_against_the_truth_are_named(tmp_path: Path) -> N
     save_map(image, tmp_path / "image")
     done = run_here("fuse", *MAPS, "-o", tmp_path / "fused", "--truth", tmp_path / "image.yaml")
     assert done.returncode == 0
-    assert "not aligned: fused: fits its mirror image" in done.stderr
+    assert "not aligned: fused: its mirror image fits" in done.stderr
 
 
 def test_maps_that_are_used_as_they_are_do_not_count_as_aligned() -> None:

@@ -107,7 +107,7 @@ def test_without_a_truth_maps_are_compared_with_each_other() -> None:
     maps = [replace(truth, cells=crooked, name="crooked"), truth.with_name("a"), grid]
     result = compare_maps(maps, CONFIG, device())
     items = agreement_items(result)
-    found = {item.name: own.vote for item, own in zip(result.inputs, items, strict=True)}
+    found = dict(zip([item.name for item in result.inputs], items, strict=True))
     assert list(found) == ["crooked", "a", grid.name]
     assert (found["crooked"].agreement or 0.0) < 0.85
     assert found["crooked"].weight < 0.3
