@@ -61,7 +61,7 @@ class LiveState:
         if not all(map(math.isfinite, (self.stamp_s, *self.scores.values()))):
             raise StateError("a state with numbers that are not finite")
         if first is None or shape != self.agreement.cells.shape:
-            raise StateError(f"a state with maps beside its lattice, or of two sizes: {shape}")
+            raise StateError(f"a state with maps off its lattice, or of two sizes: {shape}")
         object.__setattr__(self, "box", CellBox(0, 0, *shape).moved(*first))
 
     def to_bytes(self) -> bytes:
