@@ -47,9 +47,8 @@ class JudgedScans:
     Attributes:
         stamps_s: (N,) float64, times of the scans, seconds, strictly rising.
         chunks: (N,) int64, the chunk of each scan, 0 to ``CHUNKS`` - 1, never falling.
-        odometry: (N, 3) float64, pose of the robot's base in the odometry frame at each scan,
-            metres and radians; None where a scan has none.
-        driven: the odometry at the stamps of these scans and of others in between; None without.
+        driven: the odometry at the stamps of these scans and of others in between; None where a
+            scan has none.
         lasers: (N, 2) float64, the laser of each scan in the robot's base frame, metres.
         hits: (B, 2) float64, ends of the judged beams in the robot's base frame, metres.
         facings_rad: (B,) float64, the direction that the surface faces that each hit, in the
@@ -59,7 +58,6 @@ class JudgedScans:
 
     stamps_s: F64
     chunks: I64
-    odometry: F64 | None
     driven: Trajectory | None
     lasers: F64
     hits: F64
@@ -68,6 +66,12 @@ class JudgedScans:
 
     def __len__(self) -> int:
         return len(self.stamps_s)
+
+    @cached_property
+    def odometry(self) -> F64 | None:
+        """(N, 3) float64, pose of the robot's base in the odometry frame at each scan."""
+        driven = self.driven
+        return None if driven is None else driven.poses[driven.nearest(self.stamps_s)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,15 +147,13 @@ def judged_hits(
         )
     hits = np.concatenate(kept)
     stamps_s = np.array(stamps)
-    at_scans = np.array(odometry) if len(odometry) == len(kept) else None
-    if at_scans is None:
+    if len(odometry) < len(kept):
         driven = None
     elif driven is None:
-        driven = Trajectory(stamps_s, at_scans, "odometry")
+        driven = Trajectory(stamps_s, np.array(odometry), "odometry")
     return JudgedScans(
         stamps_s=stamps_s,
         chunks=np.arange(len(kept), dtype=np.int64) * CHUNKS // len(kept),
-        odometry=at_scans,
         driven=driven,
         lasers=np.array(lasers),
         hits=hits[:, :2],
@@ -236,7 +238,8 @@ def cover_stamps(path: Trajectory, scans: JudgedScans) -> tuple[F64, B8]:
     is_between = (after > 0) & (after < len(path))
     after = np.minimum(after, len(path) - 1)
     gap = np.flatnonzero(~is_own)
-    if scans.odometry is None or scans.driven is None:
+    odometry, driven = scans.odometry, scans.driven
+    if odometry is None or driven is None:
         wide_s = path.stamps_s[after[gap]] - path.stamps_s[before[gap]]
         gap = gap[is_between[gap] & (wide_s <= BETWEEN_S)]
         poses[gap] = blend_poses(
@@ -246,15 +249,14 @@ def cover_stamps(path: Trajectory, scans: JudgedScans) -> tuple[F64, B8]:
         )
     else:
         # Beyond its ends the odometry of the end.
-        driven = scans.driven
         later = np.clip(np.searchsorted(driven.stamps_s, path.stamps_s), 1, len(driven) - 1)
         share = _shares(driven.stamps_s, later - 1, later, path.stamps_s)
         there = blend_poses(driven.poses[later - 1], driven.poses[later], share)
-        onward = _carried(path.poses[before[gap]], there[before[gap]], scans.odometry[gap])
-        backward = _carried(path.poses[after[gap]], there[after[gap]], scans.odometry[gap])
+        onward = _carried(path.poses[before[gap]], there[before[gap]], odometry[gap])
+        backward = _carried(path.poses[after[gap]], there[after[gap]], odometry[gap])
         share = _shares(path.stamps_s, before[gap], after[gap], stamps_s[gap])
         poses[gap] = blend_poses(onward, backward, share)
-        beyond = gap[~is_between[gap] & _is_far(scans.odometry, stamps_s, path, gap)]
+        beyond = gap[~is_between[gap] & _is_far(odometry, stamps_s, path, gap)]
         poses[beyond] = np.nan
     return poses, is_own
 

@@ -56,7 +56,8 @@ def wheels_of(path: F64, scale: float = 1.0, turn_rad: float = 0.0) -> F64:
 
 def with_odometry(scans: JudgedScans, odometry: F64 | None) -> JudgedScans:
     """Return scans with another odometry."""
-    return replace(scans, odometry=odometry)
+    driven = None if odometry is None else Trajectory(scans.stamps_s, odometry)
+    return replace(scans, driven=driven)
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,7 @@ from slamfusion.evidence import refined_path
 from slamfusion.evidence.beams import JudgedScans
 from slamfusion.evidence.predictive import score_paths, with_path
 from slamfusion.evidence.refined_path import refine_borne_out
-from slamfusion.geometry import compose_poses, invert_poses
+from slamfusion.geometry import Pose2, compose_poses, invert_poses
 from slamfusion.json_values import plain
 from slamfusion.trajectory import Trajectory
 from tests.evidence.rooms import bent, circuit, moved
@@ -47,7 +47,7 @@ def test_a_path_that_the_scans_speak_against_is_not_taken(
 ) -> None:
     truth = circuit()
     given = Trajectory(truth.stamps_s, truth.poses, "fused")
-    evidence = score_paths(replace(scans, odometry=None), {"other": wavy(truth)}, device)
+    evidence = score_paths(replace(scans, driven=None), {"other": wavy(truth)}, device)
     # What a refinement that pulls two walls together would do.
     monkeypatch.setattr(
         refined_path, "refine_path", lambda _, path: moved(path, (0.4, 0.0, 0.0), len(path) // 2)
@@ -86,8 +86,8 @@ def test_where_the_odometry_is_nearer_the_path_is_sought_from_it(
     truth, given = circuit(), far_off()
     evidence = score_paths(scans, {"given": given}, device)
     # Its frame is another one, and its places are those of a wheel that is a little too large.
-    assert scans.odometry is not None
-    elsewhere = replace(scans, odometry=compose_poses((30.0, -4.0, 2.0), scans.odometry))
+    assert scans.driven is not None
+    elsewhere = replace(scans, driven=scans.driven.moved(Pose2(30.0, -4.0, 2.0)))
     evidence = replace(evidence, scans=elsewhere)
     path, with_refined, found = refine_borne_out(evidence, given)
     assert (found.taken, found.start) == (True, "odometry")
@@ -110,7 +110,7 @@ def test_where_the_odometry_jumps_the_parts_of_the_drive_are_moved_together(
     truth = circuit()
     # Wheels slip between the two rounds, by more than a hit is moved to a wall.
     given = replace(moved(truth, (0.4, -0.2, 0.0), len(truth) // 2), name="fused")
-    slipped = replace(scans, odometry=given.poses)
+    slipped = replace(scans, driven=given)
     path, _, found = refine_borne_out(score_paths(slipped, {"given": given}, device), given)
     assert (found.taken, found.start) == (True, "odometry")
     assert worst_m(given, truth) > 0.4
