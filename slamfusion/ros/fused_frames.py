@@ -39,7 +39,7 @@ BACK_NS = 10**9
 # A revised value of a sent stamp is sent this much later, so that no stamp is repeated; below twice
 # the resolution of today's float seconds.
 STEP_NS = 1000
-# An older pose does not show its producer's health.
+# An input is silent if its last pose is older than this, or than that of another by this, seconds.
 POSE_FRESH_S = 2.0
 # publish_tf without output for this long while an input votes is reported, seconds.
 TF_LATE_S = 5.0
@@ -187,9 +187,9 @@ class FusedFrames:
 
     A voter's transform is sent with each of its poses, at their stamps; without poses, at the
     newest stamp received. The fused pose is that of the leader: the reference, or else the best
-    score; the leader stays until it stops voting or is silent. If the scans support it, the scan
-    is matched to the walls along the fused path from there. Stamps only increase (``_fresh``). The
-    odometry frame is sent at stamps of the odometry (``OdomFrame``).
+    score; the leader stays until it stops voting or is silent while others send poses. If the scans
+    support it, the scan is matched to the walls along the fused path from there. Stamps only
+    increase (``_fresh``). The odometry frame is sent at stamps of the odometry (``OdomFrame``).
 
     Attributes:
         leader: name of the input that gives the pose; empty without.
@@ -270,8 +270,10 @@ class FusedFrames:
             self._output.send(moved, settings.fused_frame, settings.odom_frame, stamp)
 
     def on_time_jump(self) -> None:
-        """Forget what was sent for later times."""
+        """Forget poses, and what was sent for later times."""
         self._newest_s, self._odom_frame = None, OdomFrame()
+        for source in self._node.inputs.sources.values():
+            source.pose = None
         self._sent.clear()
         self._heard_ns.clear()
 
@@ -339,15 +341,21 @@ class FusedFrames:
         return messages.ns_to_stamp(stamp_ns)
 
     def _choose(self) -> str:
-        """Return the name of the best voter with recent poses; empty without."""
-        now_s, sources = time.monotonic(), self._node.inputs.sources
+        """Return the name of the best voter whose poses keep up with all inputs'; empty without.
+
+        If all are silent, as when the robot stands still, their last poses remain right.
+        """
+        heard_s = {
+            name: source.pose.heard_s
+            for name, source in self._node.inputs.sources.items()
+            if source.pose is not None
+        }
+        silent_s = max(heard_s.values(), default=0.0) - POSE_FRESH_S
         fresh = {
             name: record
             for name, record in self._state.inputs.items()
             if (record.accepted or name in self._supported)
-            and (source := sources.get(name)) is not None
-            and source.pose is not None
-            and now_s - source.pose.heard_s < POSE_FRESH_S
+            and heard_s.get(name, silent_s) > silent_s
         }
         for name in (self.leader, self._state.reference):
             if name in fresh:

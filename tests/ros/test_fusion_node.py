@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import resource
 import time
@@ -35,6 +36,7 @@ from tests.ros.fused import (
     share_equal,
     start_fusion,
     told_transforms,
+    unlike,
 )
 from tests.ros.live import Observer, Processes, values
 
@@ -358,4 +360,61 @@ def test_pose_and_transforms_agree_and_a_point_lands_on_its_fused_cell(
 
     observer.wait(go_on, what="the pose of another input")
     assert_near(messages.pose2_from_message(poses[-1].pose.pose), place, 0.02, 0.01)
+    observer.node.destroy_publisher(silent)
+
+
+def test_a_robot_that_stands_still_gets_its_corrected_pose(
+    processes: Processes, observer: Observer, makers: Makers
+):
+    poses = observer.collect(PoseWithCovarianceStamped, "fused/pose")
+    start_fusion(processes)
+    makers.send_all()
+    wait_for_all(observer)
+    transforms, place = told_transforms(observer), Pose2(2.0, 1.5, 0.3)
+    robot, stamps_s = Robot(observer, "b"), itertools.count(200.0, 0.1)
+
+    def stand() -> list[Any]:
+        robot.at(next(stamps_s), place, transforms)
+        observer.listen(0.1)
+        return poses
+
+    observer.wait(stand, what="the fused pose")
+    observer.listen(4.0)  # as a SLAM whose robot stands still, b sends no pose
+    # A closed loop moves the map of b, and its pose stays.
+    shift, grid = Pose2(0.2, 0.0, 0.0), three()["b"]
+    makers.send(replace(grid, origin=shift.compose(grid.origin)))
+    to_robot = transforms["b"].inverse().compose(place)
+    wanted = transforms["b"].compose(shift.inverse()).compose(to_robot)
+
+    def away_m() -> float:
+        found = messages.pose2_from_message(poses[-1].pose.pose)
+        return math.hypot(found.x - wanted.x, found.y - wanted.y)
+
+    observer.wait(lambda: away_m() < 0.03, what="the corrected pose")
+
+
+def test_a_silent_input_gives_no_pose_once_another_has_moved_on(
+    processes: Processes, observer: Observer, makers: Makers
+):
+    poses = observer.collect(PoseWithCovarianceStamped, "fused/pose")
+    start_fusion(processes)
+    makers.send_all()
+    wait_for_all(observer)
+    transforms, stamps_s = told_transforms(observer), itertools.count(200.0, 0.1)
+    robot, second = Robot(observer, "ab"), Pose2(4.0, 1.5, 0.3)
+
+    def is_at(place: Pose2) -> bool:
+        robot.at(next(stamps_s), place, transforms)
+        observer.listen(0.1)
+        found = messages.pose2_from_message(poses[-1].pose.pose) if poses else Pose2()
+        return math.hypot(found.x - place.x, found.y - place.y) < 0.03
+
+    observer.wait(lambda: is_at(Pose2(2.0, 1.5, 0.3)), what="the fused pose")
+    silent = robot.poses.pop("a")
+    observer.listen(2.5)
+    observer.wait(lambda: is_at(second), what="the pose by b")
+    makers.send(unlike(three()["b"]))
+    observer.wait_status(FUSION, "2 of 3 inputs vote; not: b")
+    observer.listen(1.0)
+    assert_near(messages.pose2_from_message(poses[-1].pose.pose), second, 0.03, 0.01)
     observer.node.destroy_publisher(silent)

@@ -86,9 +86,14 @@ def test_scans_say_who_is_wrong_and_the_map_is_drawn_from_them(
         number = round((messages.stamp_s(item) - FIRST_S) * 10.0)
         place = messages.pose2_from_message(item.pose)
         assert math.hypot(place.x - truth[number].x, place.y - truth[number].y) < 0.05
-    number = round((messages.stamp_s(poses[-1]) - FIRST_S) * 10.0)
-    place = messages.pose2_from_message(poses[-1].pose.pose)
-    assert math.hypot(place.x - truth[number].x, place.y - truth[number].y) < 0.1
+
+    def off_m() -> float:
+        number = round((messages.stamp_s(poses[-1]) - FIRST_S) * 10.0)
+        place = messages.pose2_from_message(poses[-1].pose.pose)
+        return math.hypot(place.x - truth[number].x, place.y - truth[number].y)
+
+    # On a busy machine b is contradicted after its last pose, which is corrected then.
+    observer.wait(lambda: off_m() < 0.1, what="the corrected pose")
     fused = messages.grid_from_message(maps[-1], "fused")
     assert not np.array_equal(fused.cells, grid.cells)  # drawn, and no vote of equal maps
     assert share_standing(grid, fused) > 0.9
