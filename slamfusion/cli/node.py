@@ -107,6 +107,8 @@ def import_rclpy() -> None:
     A sourced ROS is left as it is. The wheels of the package index set the library path when Python
     starts, but not in a child of another environment's Python; then this process restarts.
     """
+    # Messages import the generator of their packages: a parser and templates, 6 MB.
+    sys.modules.setdefault("rosidl_generator_py.generate_py_impl", None)  # type: ignore[arg-type]
     try:
         importlib.import_module("rclpy")
     except ImportError as error:

@@ -1,6 +1,8 @@
 from __future__ import annotations
 
 import logging
+import subprocess
+import sys
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -51,6 +53,18 @@ def test_troubles_are_said_once_and_the_worst_comes_first(caplog: pytest.LogCapt
         "b is gone",
         "over: b is gone",
     ]
+
+
+def test_messages_load_their_types_without_the_generator():
+    script = (
+        "from slamfusion.cli.node import import_rclpy; import_rclpy(); import sys\n"
+        "from rosidl_generator_py import import_type_support\n"
+        "import_type_support('std_msgs'); print(*sys.modules)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script], check=True, capture_output=True, text=True, timeout=60
+    )
+    assert not set(done.stdout.split()) & {"em", "lark"}
 
 
 def test_a_log_of_ros_takes_troubles_of_every_level():
