@@ -163,23 +163,28 @@ class PlayerNode(NodeBase):
         self._wait_until(lambda: False, duration_s)
 
     def _wait_for_listeners(self) -> None:
-        """Wait until every producer of ``wait_for``, or any node without those, listens."""
+        """Wait until the producers of ``wait_for``, or any node without those, listen.
+
+        A fusion whose map is saved is waited for, too: its path needs the scans from the first on.
+        """
         until_s = time.monotonic() + self.settings.start_timeout_s
+        wanted = {name: f"{name}/pose" for name in self.wait_for}
+        wanted |= {"the fusion": MAP_TOPIC} if MAP_TOPIC in self._stems else {}
         while not self._is_ending:
             count = self.node.count_publishers
-            absent = [name for name in self.wait_for if not count(f"{name}/pose")]
+            absent = [name for name, topic in wanted.items() if not count(topic)]
             listeners = self._scans.get_subscription_count()
             if not absent and listeners >= max(1, len(self.wait_for)):
                 self._pause(SETTLE_S)
                 return
             if time.monotonic() > until_s:
                 topic = self.resolved(SCAN_TOPIC)
-                if not self.wait_for:
+                if not wanted:
                     self.log.warning(f"no node listens on {topic!r}; playing all the same")
                     return
                 who = ", ".join(absent) or f"only {listeners} node(s) listen on {topic!r}"
                 raise SlamFusionError(
-                    f"waited {self.settings.start_timeout_s:g} s for {', '.join(self.wait_for)}; "
+                    f"waited {self.settings.start_timeout_s:g} s for {', '.join(wanted)}; "
                     f"missing: {who}"
                 )
             self._pause(0.05)

@@ -10,7 +10,7 @@ import pytest
 pytest.importorskip("rclpy", reason="rclpy is absent: install the extra ros, or source a ROS")
 
 from geometry_msgs.msg import PoseStamped
-from nav_msgs.msg import Odometry
+from nav_msgs.msg import OccupancyGrid, Odometry
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import LaserScan
 
@@ -139,6 +139,25 @@ def test_the_first_scan_is_sent_again_until_every_producer_hears(
     # The others are not answered, and do not wait for it.
     assert player.wait(30.0) == 0
     observer.wait(lambda: len({*map(messages.stamp_s, heard)}) == COUNT, what="every scan")
+
+
+def test_a_fusion_whose_map_is_saved_gets_the_scans_from_the_first_on(
+    processes: Processes, observer: Observer, tmp_path: Path
+):
+    log = write_log(tmp_path, COUNT)
+    heard = observer.collect(LaserScan, "scan")
+    answer = observer.publisher(PoseStamped, "one/pose")
+    processes.node(
+        "player", file=str(log), wait_for=["one"], maps=["fused/map"], save=str(tmp_path / "out")
+    )
+    # It has found the producer, and still waits.
+    observer.wait(lambda: answer.get_subscription_count(), what="the player")
+    observer.listen(2.0)
+    assert not heard
+    fused = observer.publisher(OccupancyGrid, "fused/map", qos.MAP)
+    observer.wait(lambda: heard, what="the first scan")
+    assert messages.stamp_s(heard[0]) == FIRST_S
+    fused.destroy()
 
 
 def test_a_scan_that_is_not_answered_is_sent_again_and_then_named(
