@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import time
 from collections.abc import Callable
@@ -13,6 +14,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rcl_interfaces.srv import GetParameters, SetParameters, SetParametersAtomically
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import NodeNameNonExistentError
 from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import Trigger
@@ -115,10 +117,37 @@ class LiveClient:
 
     def _ask(self, kind: Any, service: str, request: Any) -> Any:
         client = self._node.create_client(kind, service)
-        self._wait(client.service_is_ready, f"the service {service}")
+        self._wait(
+            lambda: self._target in self._servers(service) and client.service_is_ready(),
+            f"the service {service}",
+        )
+        # One that was killed is known for half a minute, next to one that has its name.
+        if len(servers := dict.fromkeys(self._servers(service))) > 1:
+            message = (
+                f"{service} is a service of {' and '.join(servers)}, and either could "
+                "answer; start each fusion in a namespace of its own: -r __ns:=/NAME"
+            )
+            raise LiveNodeError(message)
         future = client.call_async(request)
         self._wait(future.done, f"an answer of {service}")
         return future.result()
+
+    def _nodes(self) -> list[tuple[str, str, str]]:
+        """Return the full name, name and namespace of the other nodes."""
+        return sorted(
+            (f"{folder.rstrip('/')}/{name}", name, folder)
+            for name, folder in self._node.get_node_names_and_namespaces()
+            if name != self._node.get_name()
+        )
+
+    def _servers(self, service: str) -> list[str]:
+        """Return the nodes that offer a service: its name does not name the node."""
+        servers = []
+        for full_name, *name in self._nodes():
+            with contextlib.suppress(NodeNameNonExistentError):  # it has just ended
+                if service in dict(self._node.get_service_names_and_types_by_node(*name)):
+                    servers.append(full_name)
+        return servers
 
     def _entries(self) -> list[str]:
         request = GetParameters.Request(names=[INPUTS.name])
@@ -140,15 +169,14 @@ class LiveClient:
         until_s = time.monotonic() + self._timeout_s
         while not is_done():
             if time.monotonic() > until_s:
-                names = sorted(
-                    f"{folder.rstrip('/')}/{name}"
-                    for name, folder in self._node.get_node_names_and_namespaces()
-                    if name != self._node.get_name()
-                )
+                names = [full_name for full_name, *_ in self._nodes()]
                 domain = f"(ROS_DOMAIN_ID {os.environ.get('ROS_DOMAIN_ID', '0')})"
                 advice = f"no node runs {domain}; start the fusion, or set its ROS_DOMAIN_ID"
                 if names:
                     advice = f"running nodes: {', '.join(names)} {domain}; name it with --node"
+                if self._target in names:
+                    advice = "it runs, but is no fusion node or is still starting; try again, or "
+                    advice += f"name another with --node: {', '.join(names)} {domain}"
                 message = f"{self._target}: waited {self._timeout_s:g} s for {what}; {advice}"
                 raise LiveNodeError(message)
             self._executor.spin_once(timeout_sec=SPIN_S)

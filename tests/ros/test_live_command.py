@@ -12,9 +12,11 @@ import pytest
 
 pytest.importorskip("rclpy", reason="rclpy is absent: install the extra ros, or source a ROS")
 
+import rclpy
 from nav_msgs.srv import LoadMap
 from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.parameter import Parameter
+from std_srvs.srv import Trigger
 
 from slamfusion.cli.program import run_program
 from slamfusion.io.map_server import load_map, save_map
@@ -111,7 +113,26 @@ def test_a_running_fusion_answers(
 
 
 def test_a_node_that_is_not_there_is_named(observer: Observer) -> None:
-    message = "/fusion: waited 0.5 s for diagnostics; running nodes: /observer"
-    with LiveClient("fusion", 0.5) as client, pytest.raises(LiveNodeError, match=message):
+    message = "/fusion: waited 3 s for diagnostics; running nodes: /observer"
+    assert observer.node.get_name() == "observer"
+    with LiveClient("fusion", 3.0) as client, pytest.raises(LiveNodeError, match=message):
         client.status()
-    del observer
+    message = "/observer: waited 3 s for diagnostics; it runs, but is no fusion node or is still"
+    with LiveClient("observer", 3.0) as client, pytest.raises(LiveNodeError, match=message):
+        client.status()
+
+
+def test_only_the_node_that_is_named_carries_out_a_command(observer: Observer) -> None:
+    asked: list[Any] = []
+    observer.node.create_service(Trigger, "reset", lambda request, _: asked.append(request))
+    message = "/fusion: waited 2 s for the service /reset; running nodes: /observer"
+    with LiveClient("fusion", 2.0) as client, pytest.raises(LiveNodeError, match=message):
+        client.call("reset")
+    other = rclpy.create_node("other", context=observer.node.context)
+    other.create_service(Trigger, "reset", lambda request, _: asked.append(request))
+    message = "/reset is a service of /observer and /other, and either could answer"
+    with LiveClient("other", 20.0) as client, pytest.raises(LiveNodeError, match=message):
+        client.call("reset")
+    observer.listen(0.2)
+    assert not asked
+    other.destroy_node()

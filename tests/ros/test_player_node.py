@@ -151,7 +151,7 @@ def test_a_fusion_whose_map_is_saved_gets_the_scans_from_the_first_on(
         "player", file=str(log), wait_for=["one"], maps=["fused/map"], save=str(tmp_path / "out")
     )
     # It has found the producer, and still waits.
-    observer.wait(lambda: answer.get_subscription_count(), what="the player")
+    observer.wait(answer.get_subscription_count, what="the player")
     observer.listen(2.0)
     assert not heard
     fused = observer.publisher(OccupancyGrid, "fused/map", qos.MAP)
