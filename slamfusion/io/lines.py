@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import gzip
 import io
 import zlib
@@ -29,7 +30,7 @@ _CHECKED_LINES = 1 << 17
 def text_lines(
     path: Path, cut_off: type[SlamFusionError], *, kept_bytes: int = 0
 ) -> Iterator[tuple[int, bytes]]:
-    """Yield number, from 1, and line of a text file, plain or gzip.
+    """Yield number, from 1, and line of a text file, plain or gzip, as ASCII or UTF-8.
 
     Args:
         cut_off: raised if packed data end early or are damaged.
@@ -37,8 +38,8 @@ def text_lines(
     """
     number = 0
     with open_regular(path, LogError) as file:
-        read = partial(_unpacked(file.raw).readline, _LINE_BYTES)
         try:
+            read = partial(_text(file.raw).readline, _LINE_BYTES)
             for number, line in enumerate(iter(read, b""), start=1):
                 if len(line) == _LINE_BYTES:
                     raise LogError(
@@ -56,9 +57,9 @@ def text_lines(
 def read_head(path: Path) -> bytes:
     """Return the first bytes of a file, unpacked if gzip; fewer if it is damaged."""
     with open_regular(path, LogError) as file:
-        stream = _unpacked(file.raw)
         head = bytearray()
         try:
+            stream = _text(file.raw)
             while (left := _BUFFER_BYTES - len(head)) and (part := stream.read1(left)):
                 head += part
         except _DAMAGE:
@@ -81,6 +82,38 @@ def packed_by_name(path: Path, data: bytes) -> bytes:
     ) as file:
         file.write(data)
     return packed.getvalue()
+
+
+class _Recoded(io.RawIOBase):
+    """UTF-8 with lines that end in LF, of a text in another form."""
+
+    def __init__(self, text: io.TextIOWrapper) -> None:
+        self._text = text
+
+    def readable(self) -> bool:
+        """Return True."""
+        return True
+
+    def readinto(self, buffer: Any) -> int:
+        """Read some bytes; see ``io.RawIOBase.readinto``."""
+        data = self._text.read(len(buffer) // 4).encode(errors="surrogateescape")
+        buffer[: len(data)] = data
+        return len(data)
+
+
+def _text(raw: Any) -> io.BufferedReader | gzip.GzipFile:
+    """Return a file as UTF-8 without its mark; also UTF-16, and lines that end in CR alone."""
+    stream = _unpacked(raw)
+    head = stream.peek(_BUFFER_BYTES)
+    if head.startswith(codecs.BOM_UTF8):
+        stream.read(len(codecs.BOM_UTF8))
+    if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        text = io.TextIOWrapper(stream, "utf-16", "replace")
+    elif b"\r" in head and b"\n" not in head:
+        text = io.TextIOWrapper(stream, "utf-8", "surrogateescape")
+    else:
+        return stream
+    return io.BufferedReader(_Recoded(text), _BUFFER_BYTES)
 
 
 def _unpacked(raw: Any) -> io.BufferedReader | gzip.GzipFile:

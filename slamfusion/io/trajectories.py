@@ -109,7 +109,7 @@ def read_trajectory(
 def _first_fields(where: Path) -> tuple[list[bytes], Columns | None]:
     """Return the fields of the first data line, and a pose's columns if a heading names them."""
     columns: Columns | None = None
-    for line in read_head(where).removeprefix(b"\xef\xbb\xbf").splitlines():
+    for line in read_head(where).splitlines():
         named = _named_columns(_split(line.strip().lstrip(b"#%")))
         columns = columns if named is None else named
         fields = _fields(line)
@@ -150,7 +150,7 @@ def _split(line: bytes) -> list[bytes]:
 
 
 def _fields(line: bytes) -> list[bytes]:
-    stripped = line.strip().removeprefix(b"\xef\xbb\xbf")
+    stripped = line.strip()
     return [] if stripped.startswith((b"#", b"%")) else _split(stripped)
 
 

@@ -39,6 +39,22 @@ def test_packed_files_are_read(tmp_path: Path) -> None:
     assert found.poses[0] == pytest.approx([1.0, 2.0, 0.5])
 
 
+@pytest.mark.parametrize("name", ["a.tum", "a.log", "a.log.gz"])
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "utf-16-be"])
+def test_a_text_may_come_from_any_editor(
+    tmp_path: Path, name: str, end: str, encoding: str
+) -> None:
+    lines = [flaser(k, robot=(k, 2, 0.5)) for k in (1.5, 2.5)]
+    if name == "a.tum":
+        lines = ["# time x y z ...", *(f"{k} {k} 2 9 {TURN}" for k in (1.5, 2.5))]
+    text = ("\ufeff" if encoding == "utf-16-be" else "") + "".join(line + end for line in lines)
+    data = text.encode(encoding)
+    (tmp_path / name).write_bytes(gzip.compress(data) if name.endswith("gz") else data)
+    found = read_trajectory(tmp_path / name)
+    assert found.poses == pytest.approx(np.array([[1.5, 2.0, 0.5], [2.5, 2.0, 0.5]]))
+
+
 @pytest.mark.parametrize("digits", [0, 3, 6, 9])
 def test_the_unit_of_a_time_is_that_of_its_magnitude(tmp_path: Path, digits: int) -> None:
     first, last = (f"{10**digits * 1134864629.895182:.6f}", f"{10**digits * 1134864630}")
