@@ -448,6 +448,9 @@ def run_node(make: Callable[[], NodeBase], arguments: Sequence[str] | None = Non
         # Without the source positions of rcl.
         words = str(error).partition(", at /")[0].removeprefix("failed to initialize rcl: ")
         words = words.replace(". Error: error not set", "; wanted FROM:=TO with two valid names")
+        # What rcl says of a value that is no YAML.
+        advice = "; put a text with a colon in quotes: \"inputs:=['file:map.yaml']\""
+        words = words.replace("parsing an event", f"parsing an event{advice}")
         raise ConfigError(f"ROS arguments: {words}") from error
     try:
         try:

@@ -40,7 +40,7 @@ START = "start."
 
 
 class TypedNode(Node):  # type: ignore[misc]  # rclpy is untyped
-    """A node whose parameters keep their types when a change is refused.
+    """A node whose parameters keep their types when a change is refused, with plain reasons.
 
     rclpy changes a dynamic parameter's type with each attempt, and forgets an unset parameter.
     """
@@ -48,8 +48,16 @@ class TypedNode(Node):  # type: ignore[misc]  # rclpy is untyped
     def set_parameters_atomically(self, parameter_list: list[Parameter]) -> SetParametersResult:
         """Set all or none; the services of ROS tools come here too."""
         for item in parameter_list:
-            if item.type_ == Parameter.Type.NOT_SET and self.has_parameter(item.name):
-                reason = f"{_where(self)}: {item.name}: wanted a value; it cannot be unset"
+            reason = ""
+            if not self.has_parameter(item.name):
+                near = nearest_parameter(self, item.name)
+                reason = f"unknown parameter; the nearest known one is {near!r}"
+            elif self.describe_parameter(item.name).read_only:
+                reason = "it is read-only; start the node with it"
+            elif item.type_ == Parameter.Type.NOT_SET:
+                reason = "wanted a value; it cannot be unset"
+            if reason:
+                reason = f"{_where(self)}: {item.name}: {reason}"
                 return SetParametersResult(successful=False, reason=reason)
         result = super().set_parameters_atomically(parameter_list)
         for item in parameter_list:
@@ -218,15 +226,18 @@ def declare_starts(
 
 def unknown_parameters(node: Any) -> list[str]:
     """Return a sentence for each given parameter that the node does not have; ROS is silent."""
+    return [
+        f"unknown parameter {name!r} is not used; the nearest known one is "
+        f"{nearest_parameter(node, name)!r}"
+        for name in sorted(given_parameters(node))
+        if not (node.has_parameter(name) or name.startswith("qos_overrides."))
+    ]
+
+
+def nearest_parameter(node: Any, name: str) -> str:
+    """Return the parameter of a node whose name is most like a name."""
     known = list(getattr(node, "_parameters", {}))
-    sentences = []
-    for name in sorted(given_parameters(node)):
-        if name not in known and not name.startswith("qos_overrides."):
-            (near,) = difflib.get_close_matches(name, known, n=1, cutoff=0.0)
-            sentences.append(
-                f"unknown parameter {name!r} is not used; the nearest known one is {near!r}"
-            )
-    return sentences
+    return str(difflib.get_close_matches(name, known, n=1, cutoff=0.0)[0])
 
 
 def _answer(check: Callable[[], object]) -> SetParametersResult:

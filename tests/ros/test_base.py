@@ -216,6 +216,10 @@ class Misnamed(NodeBase):
         (("-p", "topic:='a b'"), "'a b' is no topic name: topic name must not contain characters"),
         (("-p", "topic:='0bad'"), "'0bad' is no topic name: "),
         (
+            ("-p", "topic:=[file:lab.yaml]"),
+            "ROS arguments: Couldn't parse parameter override rule: '-p topic:=[file:lab.yaml]'",
+        ),
+        (
             ("-r", "fine:=0bad"),
             "ROS arguments: Couldn't parse remap rule: '-r fine:=0bad'; wanted FROM:=TO with two ",
         ),
@@ -226,6 +230,7 @@ def test_a_bad_name_of_a_topic_is_one_line(words: tuple[str, ...], said: str):
     with pytest.raises(ConfigError) as raised:
         run_node(Misnamed, ["--ros-args", *words])
     assert str(raised.value).startswith(said)
+    assert ("put a text with a colon in quotes" in str(raised.value)) == ("file:" in words[1])
     assert "\n" not in str(raised.value)
 
 

@@ -145,6 +145,7 @@ def test_a_change_is_checked_and_told(make_node: MakeNode):
     assert not refused.successful
     assert "must be one of fast, slow, found 'medium'" in refused.reason
     assert "wanted fast or slow, found 5" in change("mode", 5).reason
-    assert not change("period_s", 2.0).successful
+    assert "period_s: it is read-only; start the node with it" in change("period_s", 2.0).reason
+    assert "mod: unknown parameter; the nearest known one is 'mode'" in change("mod", "slow").reason
     assert len(told) == 2
     assert node.get_parameter("mode").value == "fast"
