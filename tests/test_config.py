@@ -84,6 +84,10 @@ def test_every_field_says_what_it_is(config_class: type[Any]) -> None:
             {"fusion": {"align": {"windw_m": 1}}},
             "run.yaml: fusion: align: unknown key 'windw_m'; the nearest known one is 'window_m'",
         ),
+        (
+            {"stale_after_s": 1.0},
+            "run.yaml: unknown key 'stale_after_s'; it stands in a section: live.stale_after_s",
+        ),
         ({"seed": -1}, "RunConfig.seed must lie in [0, inf], found -1"),
         ({"seed": 1.5}, "run.yaml: seed: wanted int, found 1.5"),
         ({"seed": True}, "run.yaml: seed: wanted int, found True"),
@@ -112,7 +116,7 @@ def test_every_field_says_what_it_is(config_class: type[Any]) -> None:
 )
 def test_a_bad_value_is_named_with_what_was_wanted(values: Any, words: str) -> None:
     with pytest.raises(ConfigError) as caught:
-        from_mapping(RunConfig, values, "run.yaml")
+        from_mapping(RunConfig(), values, "run.yaml")
     assert words in str(caught.value)
     assert "\n" not in str(caught.value)
 

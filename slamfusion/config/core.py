@@ -279,9 +279,12 @@ def from_mapping(config: Any, values: Any, where: str = "config") -> Any:
     arguments: dict[str, Any] = {}
     for key, value in values.items():
         if key not in known:
+            options = () if is_class else config_fields(config)
+            homes = [item.key for item in options if item.key.endswith(f".{key}")]
             near = difflib.get_close_matches(shown(key), known, n=1, cutoff=0.0)
-            message = f"{where}: unknown key {shown(key)}; the nearest known one is {near[0]!r}"
-            raise ConfigError(message)
+            advice = f"it stands in a section: {' or '.join(homes)}" if homes else ""
+            advice = advice or f"the nearest known one is {near[0]!r}"
+            raise ConfigError(f"{where}: unknown key {shown(key)}; {advice}")
         hint = hints[key]
         if hint == Mapping[str, Any]:
             given = {} if is_class else getattr(config, key)
