@@ -2,7 +2,7 @@
 
 Hits are sorted into patches by place and by the side that they are seen from, and a line is fitted
 to each patch. ``refine_path`` moves the poses of all scans until the hits lie on their lines;
-``WallMap.match`` moves one scan onto the lines of a path that is solved.
+``WallMap.match`` moves scans onto the lines of a path that is solved.
 
 Source: Chen and Medioni, Object modelling by registration of multiple range images, Image and
 Vision Computing 10(3), 1992 (distances from surfaces, and not from points); Geman and McClure as in
@@ -11,6 +11,7 @@ Vision Computing 10(3), 1992 (distances from surfaces, and not from points); Gem
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -19,7 +20,18 @@ import numpy as np
 from slamfusion.evidence.beams import JudgedScans, ScanHits, cover_stamps
 from slamfusion.evidence.known_motions import turned
 from slamfusion.evidence.path_frames import FROM_MEDIAN, geman_mcclure
-from slamfusion.geometry import B8, F64, I64, Pose2, pose_of, row_of, wrap_angle, wrap_angles
+from slamfusion.geometry import (
+    B8,
+    F64,
+    I64,
+    Pose2,
+    compose_poses,
+    invert_poses,
+    pose_of,
+    transform_points,
+    wrap_angle,
+    wrap_angles,
+)
 from slamfusion.trajectory import Trajectory
 
 # Side of a patch of wall, metres, and the number of directions of its normal.
@@ -302,16 +314,26 @@ class WallMap:
         """Return these walls with others, which stand as sure as those."""
         return replace(seen, walls=(*self.walls, *seen.walls), spread_m=self.spread_m)
 
-    def match(self, scan: ScanHits, place: Pose2, covariance: F64) -> ScanMatch:
-        """Find where a scan lies on these walls, near a place that is expected with a covariance.
+    def match(self, scans: Sequence[ScanHits], poses: F64, covariance: F64) -> ScanMatch:
+        """Find where scans lie on these walls, all as one, near poses that are expected.
 
         Gauss-Newton steps on the distances of hits from the lines of their patches, without far
         hits. Directions that walls leave open, as along a corridor, stay as expected.
+
+        Args:
+            scans: N of them, at least 1.
+            poses: (N, 3) expected poses, metres and radians; the answer is the last one.
+            covariance: (3, 3) of the last one, square metres and radians.
         """
-        points, facings_rad = scan.rows[:, :2], scan.rows[:, 2]
-        is_seen = np.abs(_turned_rad(facings_rad, np.array(scan.laser) - points)) > LONE_RAD
-        points, facings_rad = points[is_seen], facings_rad[is_seen]
-        prior, expected = np.linalg.inv(covariance), row_of(place)
+        expected, prior = poses[-1], np.linalg.inv(covariance)
+        relative = compose_poses(invert_poses(expected), poses)
+        rows = np.concatenate([scan.rows for scan in scans])
+        of = np.repeat(np.arange(len(scans)), [len(scan.rows) for scan in scans])
+        to_laser = np.array([scan.laser for scan in scans])[of] - rows[:, :2]
+        is_seen = np.abs(_turned_rad(rows[:, 2], to_laser)) > LONE_RAD
+        rows, of = rows[is_seen], of[is_seen]
+        points = transform_points(relative, rows[:, :2], of)
+        facings_rad = rows[:, 2] + relative[of, 2]
         pose = expected
         for scale_m in SCALES_M:
             slopes, away_m, is_known = self._measure(points, facings_rad, pose)

@@ -43,7 +43,16 @@ from slamfusion.evidence.path_frames import moved_onto
 from slamfusion.evidence.predictive import SURE, PathEvidence, score_paths
 from slamfusion.evidence.recommendation import LEAST_DIFFERENCE
 from slamfusion.fusion.live import Evidence
-from slamfusion.geometry import B8, F64, Pose2, fit_motion, moved_poses, row_of, with_levers
+from slamfusion.geometry import (
+    B8,
+    F64,
+    Pose2,
+    fit_motion,
+    moved_poses,
+    pose_of,
+    row_of,
+    with_levers,
+)
 from slamfusion.io import LogScan
 from slamfusion.io.files import return_freed_memory
 from slamfusion.jobs.fused_path import fuse_weighed_paths
@@ -290,7 +299,7 @@ class LiveDrive:
         covariance = before + _variances(STEP_M + DRIFT * way_m, STEP_RAD + DRIFT * way_m)
         if solution is None or solution.walls is None or grown is None:
             return ScanMatch(expected, covariance, fits=False)
-        found = None if scan is None else grown.match(scan, expected, covariance)
+        found = None if scan is None else grown.match([scan], row_of(expected)[None], covariance)
         if scan is None or found is None or not found.fits:
             return ScanMatch(expected, covariance + grown.covariance, fits=False)
         covariance = found.covariance + grown.covariance
@@ -371,7 +380,7 @@ class LiveDrive:
             if found is None:
                 return None
             fused, evidence = found
-            path = self._place(fused, paths, lattice, transforms or {}, is_whole=last is None)
+            path = self._place(fused, kept, paths, lattice, transforms or {}, is_whole=last is None)
             if evidence is None or last is not None:
                 evidence = score_paths(scans, {**paths, FUSED: path}, self._device)
         except SlamFusionError:
@@ -439,6 +448,7 @@ class LiveDrive:
     def _place(
         self,
         found: Trajectory,
+        kept: Sequence[ScanHits],
         paths: Mapping[str, Trajectory],
         lattice: Lattice | None,
         transforms: Mapping[str, Pose2],
@@ -463,7 +473,7 @@ class LiveDrive:
             until_s = min(float(before.stamps_s[-1]), newest_s - 0.5 * WINDOW_S)
             cut_s = max(self._whole_until_s, until_s)
             first = _part(before, -np.inf, cut_s)
-            rest = _part(moved_onto(found, [first]), cut_s, np.inf)
+            rest = _part(_onto_walls(moved_onto(found, [first]), first, kept), cut_s, np.inf)
             stamps_s = np.concatenate((first.stamps_s, rest.stamps_s))
             self._path = Trajectory(stamps_s, np.concatenate((first.poses, rest.poses)), FUSED)
         return self._path
@@ -476,6 +486,24 @@ def _solved(
     evidence = score_paths(judged, paths, device)
     fused, with_fused = fuse_weighed_paths(paths, evidence)
     return fused.trajectory, with_fused
+
+
+def _onto_walls(path: Trajectory, first: Trajectory, kept: Sequence[ScanHits]) -> Trajectory:
+    """Move the path of a window so that its scans fit the walls that earlier ones show.
+
+    Placed by the stamps in common with the path before it alone, each window would add its error.
+    """
+    earlier = [one for one in kept if one.stamp_s < path.stamps_s[0]]
+    if len(earlier) < CHUNKS:
+        return path
+    near, meets = path.matches(np.array([one.stamp_s for one in kept]))
+    some = np.flatnonzero(meets)[:: max(1, np.count_nonzero(meets) // CHUNKS)]
+    poses, expected = path.poses[near[some]], _variances(CORRECTION_M, CORRECTION_RAD)
+    walls = WallMap.of(judged_hits(earlier, MOST_HITS), first, expected)
+    found = walls and walls.match([kept[at] for at in some], poses, expected)
+    if not found or not found.fits:
+        return path
+    return path.moved(found.pose.compose(pose_of(poses[-1]).inverse()))
 
 
 def _contradicted(evidence: PathEvidence, by: str = FUSED) -> list[str]:

@@ -7,7 +7,7 @@ import pytest
 
 from slamfusion.evidence.beams import judged_scans, scan_hits
 from slamfusion.evidence.patches import ScanMatch, WallMap
-from slamfusion.geometry import F64, pose_of, row_of, wrap_angle
+from slamfusion.geometry import F64, row_of, wrap_angle
 from slamfusion.trajectory import Trajectory
 from tests.evidence.rooms import ROOM, box, circuit, recorded
 
@@ -22,7 +22,7 @@ def match(mapped: F64, seen: F64, at: F64, expected: F64) -> ScanMatch:
     scan = next(scan_hits([item]))
     assert walls is not None
     assert scan is not None
-    return walls.match(scan, pose_of(expected), np.diag(SIGMAS**2))
+    return walls.match([scan], expected[None], np.diag(SIGMAS**2))
 
 
 @pytest.mark.parametrize("number", [0, 40, 100])

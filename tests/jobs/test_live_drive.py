@@ -20,6 +20,7 @@ from slamfusion.jobs.fused_path import fuse_weighed_paths
 from slamfusion.jobs.live_drive import Depth, DriveSolution, LiveDrive, Pace
 from slamfusion.trajectory import Trajectory
 from slamfusion.vote.lattice import Lattice
+from tests.evidence.rooms import circuit, recorded
 from tests.slam.drives import drive
 
 SCANS = 160
@@ -227,6 +228,25 @@ def test_the_window_continues_the_path_of_the_whole_drive(
     # What the whole drive said of the past stays.
     assert np.array_equal(found.path.poses[:95], first.path.poses[:95])
     assert robot.error_m(found.path) < 0.015
+
+
+def test_errors_of_windows_do_not_add_up(
+    device: ComputeDevice, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two inputs turn away alike, on a second and a third round along walls that are solved."""
+    monkeypatch.setattr(live_drive, "WINDOW_S", 5.0)
+    monkeypatch.setattr(live_drive, "LEAST_SCANS", 30)
+    robot, truth = Robot(device, names="ab"), circuit(200, 2.8)
+    robot.scans, robot.truth = recorded(truth), [Pose2(*row) for row in truth.poses]
+    robot.bends = dict.fromkeys("ab", slowly_bent)
+    robot.drive_to(80)
+    found = solved(robot)
+    for step in range(85, 201, 5):
+        robot.drive_to(step)
+        found = solved(robot, "window")
+    motion = fit_motion(with_levers(found.path.poses[:80]), with_levers(truth.poses[:80]))
+    off = moved_poses(motion, found.path.poses) - truth.poses
+    assert np.hypot(*off[-10:, :2].T).max() < 0.015
 
 
 def test_the_frame_stays_when_the_voters_move(device: ComputeDevice) -> None:
