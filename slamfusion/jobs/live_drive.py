@@ -137,7 +137,8 @@ class DriveSolution:
 
     Attributes:
         path: the fused path, at the scans that are kept, in the fused frame.
-        evidence: ``transforms`` carry the newest poses of the inputs onto the path.
+        evidence: ``transforms`` carry the newest poses of the inputs onto the path, those of the
+            input that the scans support most first.
         conditions: problems of the drive, in words.
         is_final: whether it is the answer of ``run``.
         walls: seen by the scans along the path; new scans are matched to them.
@@ -396,7 +397,8 @@ class LiveDrive:
             if self._drawer is None or self._drawer.lattice != own_lattice:
                 self._drawer = MapDrawer(self._device, own_lattice)
             drawn = self._drawer.draw(kept, path, DRAWN)
-        corrections = {name: _correction(own, path) for name, own in paths.items()}
+        best_first = sorted(paths, key=lambda name: -evidence.scores[name].consistency)
+        corrections = {name: _correction(paths[name], path) for name in best_first}
         drift = DRIFT * _blind_m(path, blind_s)
         covariance = _disagreement(evidence, contradicted) + _variances(drift, drift)
         return DriveSolution(

@@ -186,9 +186,9 @@ class FusedFrames:
     """Sends fused_map -> every voter's map frame, the fused pose, and fused_map -> odom.
 
     A voter's transform is sent with each of its poses, at their stamps; without poses, at the
-    newest stamp received. The fused pose is that of the leader: the reference, or else the best
-    score; the leader stays until it stops voting or is silent while others send poses. If the scans
-    support it, the scan is matched to the walls along the fused path from there. Stamps only
+    newest stamp received. The fused pose is that of the leader: the input that the scans support
+    most, whose scan is matched to the walls along the fused path; without scans the reference, or
+    else the best score, until it stops voting or is silent while others send poses. Stamps only
     increase (``_fresh``). The odometry frame is sent at stamps of the odometry (``OdomFrame``).
 
     Attributes:
@@ -357,7 +357,7 @@ class FusedFrames:
             if (record.accepted or name in self._supported)
             and heard_s.get(name, silent_s) > silent_s
         }
-        for name in (self.leader, self._state.reference):
+        for name in (*self._supported, self.leader, self._state.reference):
             if name in fresh:
                 return name
         return max(fresh, key=lambda name: fresh[name].fit.score, default="")
