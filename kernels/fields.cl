@@ -75,13 +75,6 @@ __kernel void surface_walls(__global const char *cells, __global const uchar *so
   }
 }
 
-/* Of a block of cells whether there is any wall, and the free share 0..255. */
-INLINE void set_block(__global uchar *out_wall, __global uchar *out_free, const int index,
-                      const int wall, const int free_cells, const int step) {
-  out_wall[index] = (uchar)wall;
-  out_free[index] = (uchar)((free_cells * FIELD_ONE) / (step * step));
-}
-
 /* Blocks of step x step cells: a coarse wall where any fine wall is, and the free share 0..255.
  * walls (height, width) uchar; cells (height, width) char; out_* (out_height, out_width) uchar.
  * Blocks that reach over the edge count the missing cells as unknown. A work item does the blocks
@@ -103,7 +96,8 @@ __kernel void shrink(__global const uchar *walls, __global const char *cells, co
         wall |= walls[i];
         free_cells += cells[i] == FREE;
       }
-    set_block(out_wall, out_free, row * out_width + first, wall, free_cells, step);
+    out_wall[row * out_width + first] = wall;
+    out_free[row * out_width + first] = free_cells * FIELD_ONE / (step * step);
     return;
   }
   uchar wall_in[RUN], free_in[RUN];
@@ -111,11 +105,21 @@ __kernel void shrink(__global const uchar *walls, __global const char *cells, co
   for (int r = top; r < bottom; r++) {
     __global const uchar *wall_row = walls + r * width + left;
     __global const char *cell_row = cells + r * width + left;
-    for (int i = 0; i < cols; i++) {
-      wall_in[i] |= wall_row[i];
-      free_in[i] += cell_row[i] == FREE;
+    /* A whole run, of which the last columns may not count, is in lanes to its end. */
+    if (left + RUN <= width) {
+      for (int i = 0; i < RUN; i++) {
+        wall_in[i] |= wall_row[i];
+        free_in[i] += cell_row[i] == FREE;
+      }
+    } else {
+      for (int i = 0; i < cols; i++) {
+        wall_in[i] |= wall_row[i];
+        free_in[i] += cell_row[i] == FREE;
+      }
     }
   }
+  /* A product with this, rounded up, is the quotient: a block has at most RUN * RUN cells. */
+  const ulong share = ((1UL << 32) + step * step - 1) / (step * step);
   for (int col = first, from = 0; col < stop; col++, from += step) {
     int wall = 0, free_cells = 0;
     const int to = LOWER(from + step, cols);
@@ -123,7 +127,8 @@ __kernel void shrink(__global const uchar *walls, __global const char *cells, co
       wall |= wall_in[i];
       free_cells += free_in[i];
     }
-    set_block(out_wall, out_free, row * out_width + col, wall, free_cells, step);
+    out_wall[row * out_width + col] = wall;
+    out_free[row * out_width + col] = free_cells * FIELD_ONE * share >> 32;
   }
 }
 
@@ -236,8 +241,18 @@ __kernel void known_by_distance(__global const ushort *distance2, __global const
   if (c >= chunks) return;
   __global int *sums = partial + (size_t)c * (DISTANCE2_MAX + 1);
   for (int d2 = 0; d2 <= DISTANCE2_MAX; d2++) sums[d2] = 0;
-  const int stop = LOWER((c + 1) * chunk, cells);
-  for (int i = c * chunk; i < stop; i++) sums[distance2[i]] += wall[i] ? FIELD_ONE : free_share[i];
+  const int stop = LOWER((c + 1) * chunk, cells), even = c * chunk + ((stop - c * chunk) & ~15);
+  for (int i = c * chunk; i < even; i += 16) {
+    const uchar16 is_wall = as_uchar16(LOAD16(wall + i) != (uchar16)0);
+    const ulong2 known = as_ulong2(is_wall | LOAD16(free_share + i));
+    if ((known.x | known.y) == 0) continue;
+#pragma unroll
+    for (int k = 0; k < 8; k++) {
+      sums[distance2[i + k]] += known.x >> 8 * k & FIELD_ONE;
+      sums[distance2[i + 8 + k]] += known.y >> 8 * k & FIELD_ONE;
+    }
+  }
+  for (int i = even; i < stop; i++) sums[distance2[i]] += wall[i] ? FIELD_ONE : free_share[i];
 }
 
 /* One doubling of a window maximum: the larger of each cell and the cell `shift` farther along the

@@ -220,13 +220,16 @@ __kernel void neighbour_scores(__global const int *points, const int count, cons
 __kernel void pose_counts(__global const int *points, const int count, __global const long *poses,
                           const int n, __global const char *grid,
                           __global const ushort *distance2, const int height, const int width,
-                          __global const uint *worths, const int base, __global const int *limits2, const int limits, const int chunk,
-                          const int chunks, __global int *partial) {
+                          __global const uint *worths, const int base, __global const int *limits2,
+                          const int limits, const int chunk, const int chunks, __global int *partial) {
   const int c = get_global_id(0), p = get_global_id(1);
   if (c >= chunks || p >= n) return;
   const long4 pose = vload4(p, poses);
-  int score = 0, known = 0, near[LIMITS_MAX], beyond[LIMITS_MAX];
-  for (int l = 0; l < limits; l++) near[l] = beyond[l] = 0;
+  int score = 0, known = 0, limit[LIMITS_MAX], near[LIMITS_MAX], beyond[LIMITS_MAX];
+  for (int l = 0; l < LIMITS_MAX; l++) {
+    limit[l] = l < limits ? limits2[l] : 0;
+    near[l] = beyond[l] = 0;
+  }
   const int stop = LOWER((c + 1) * chunk, count);
   for (int i = c * chunk; i < stop; i++) {
     const int2 cell = fixed_cell(pose, points[2 * i], points[2 * i + 1]);
@@ -239,8 +242,10 @@ __kernel void pose_counts(__global const int *points, const int count, __global 
     const int worth = base + (ushort)worths[d2] - is_free * (int)(worths[d2] >> 16);
     score += worth < 0 ? 0 : LOWER(worth, FIELD_ONE);
     known += grid[at] != UNKNOWN;
-    for (int l = 0; l < limits; l++) {
-      const int is_near = d2 <= limits2[l];
+    /* Of all limits, so that the counts are kept in registers. */
+#pragma unroll
+    for (int l = 0; l < LIMITS_MAX; l++) {
+      const int is_near = d2 <= limit[l];
       near[l] += is_near;
       beyond[l] += is_free & !is_near;
     }
