@@ -211,21 +211,21 @@ __kernel void wall_distances(__global const ushort *distance2, __global const uc
 
 /* What a wall point of the other map is worth in each cell:
  * base + hit[d2] - free * miss[d2] / FIELD_ONE, rounded down, within 0..FIELD_ONE.
- * distance2 (cells) ushort; free_share (cells) uchar 0..255; worths one uint for every d2: hit, and
- * miss in the upper 16 bits, one gather for both; out (cells) uchar. Global: (ceil(cells / RUN)).
+ * distance2 (cells) ushort; free_share (cells) uchar 0..255; worths one ushort for every d2: hit, and
+ * miss above 8 bits, one gather for both; out (cells) uchar. Global: (ceil(cells / RUN)).
  * All gathers of a run come first: the arithmetic is in lanes then, and in one loop with them it is
  * not, and takes ten times as long on PoCL. */
 __kernel void score_field(__global const ushort *distance2, __global const uchar *free_share,
-                          __global const uint *worths, const int base, const int cells,
+                          __global const ushort *worths, const int base, const int cells,
                           __global uchar *out) {
   const int first = get_global_id(0) * RUN;
   const int stop = first + RUN < cells ? first + RUN : cells;
   const int run = stop - first;
-  uint worth[RUN];
+  ushort worth[RUN];
   for (int i = 0; i < run; i++) worth[i] = worths[distance2[first + i]];
   for (int i = 0; i < run; i++) {
-    const uint less = (free_share[first + i] * (worth[i] >> 16)) / FIELD_ONE;
-    const int value = base + (ushort)worth[i] - (int)less;
+    const uint less = (free_share[first + i] * (uint)(worth[i] >> 8)) / FIELD_ONE;
+    const int value = base + (uchar)worth[i] - (int)less;
     out[first + i] = (uchar)(value < 0 ? 0 : value > FIELD_ONE ? FIELD_ONE : value);
   }
 }

@@ -220,7 +220,7 @@ __kernel void neighbour_scores(__global const int *points, const int count, cons
 __kernel void pose_counts(__global const int *points, const int count, __global const long *poses,
                           const int n, __global const char *grid,
                           __global const ushort *distance2, const int height, const int width,
-                          __global const uint *worths, const int base, __global const int *limits2,
+                          __global const ushort *worths, const int base, __global const int *limits2,
                           const int limits, const int chunk, const int chunks, __global int *partial) {
   const int c = get_global_id(0), p = get_global_id(1);
   if (c >= chunks || p >= n) return;
@@ -239,7 +239,7 @@ __kernel void pose_counts(__global const int *points, const int count, __global 
     }
     const size_t at = (size_t)cell.y * width + cell.x;
     const int d2 = distance2[at], is_free = grid[at] == FREE;
-    const int worth = base + (ushort)worths[d2] - is_free * (int)(worths[d2] >> 16);
+    const int worth = base + (uchar)worths[d2] - is_free * (worths[d2] >> 8);
     score += worth < 0 ? 0 : LOWER(worth, FIELD_ONE);
     known += grid[at] != UNKNOWN;
     /* Of all limits, so that the counts are kept in registers. */

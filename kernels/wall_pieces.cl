@@ -11,21 +11,25 @@ INLINE int all_lanes(const int8 lanes) {
   return four.x + four.y + four.z + four.w;
 }
 
-/* What a wall of the other map meets in each cell, in one word, one look-up for all: the field's value,
- * above 8 bits whether the cell is seen, above 16 the most that the field less `base` could be, above
- * 24 what it faces. Seen are known cells and those within near2 of a wall; a known cell could be
- * worth `span`, another what it is.
- * field, facing (cells) uchar; distance2 (cells) ushort; grid (cells) char trinary; words (cells) uint.
- * Global: (ceil(cells / RUN)). */
-__kernel void piece_words(__global const uchar *field, __global const ushort *distance2,
-                          __global const char *grid, __global const uchar *facing, const int base,
+/* What a wall of the other map meets in each cell, in one word, one look-up for all: its worth as of
+ * score_field, above 8 bits whether the cell is seen, above 16 the most that the worth less `base` could
+ * be, above 24 what the cell faces. Seen are known cells and those within near2 of a wall; a known cell
+ * could be worth `span`, another what it is.
+ * distance2 (cells) ushort; grid (cells) char trinary; facing (cells) uchar; worths as of score_field;
+ * words (cells) uint. Global: (ceil(cells / RUN)). All gathers of a run come first, see score_field. */
+__kernel void piece_words(__global const ushort *distance2, __global const char *grid,
+                          __global const uchar *facing, __global const ushort *worths, const int base,
                           const int span, const int near2, const int cells, __global uint *words) {
-  const int first = get_global_id(0) * RUN;
-  const int stop = first + RUN < cells ? first + RUN : cells;
-  for (int i = first; i < stop; i++) {
-    const uint value = field[i], known = grid[i] >= 0, seen = known | (distance2[i] <= near2);
-    const uint could = (uchar)(known ? span : (int)value - base);
-    words[i] = value | seen << 8 | could << 16 | (uint)facing[i] << 24;
+  const int first = get_global_id(0) * RUN, run = LOWER(RUN, cells - first);
+  ushort worth[RUN];
+  for (int i = 0; i < run; i++) worth[i] = worths[distance2[first + i]];
+  for (int i = 0; i < run; i++) {
+    const int at = first + i, is_known = grid[at] >= 0, is_free = grid[at] == FREE;
+    const int sum = base + (uchar)worth[i] - is_free * (worth[i] >> 8);
+    const uint value = sum < 0 ? 0 : LOWER(sum, FIELD_ONE);
+    const uint seen = is_known | (distance2[at] <= near2);
+    const uint could = (uchar)(is_known ? span : (int)value - base);
+    words[at] = value | seen << 8 | could << 16 | (uint)facing[at] << 24;
   }
 }
 

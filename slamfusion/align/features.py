@@ -309,10 +309,10 @@ class GridFeatures:
     @_kept
     def piece_words(self, sigma: float) -> tuple[ScoreTable, DeviceArray[Any]]:
         """Return the evidence of walls of a width in cells, and what their pieces look up."""
-        table, field = self.field(1, sigma, FIELD_TOP, 0.0)
+        table = evidence_table(self.chance(1, sigma), sigma, FIELD_TOP)
         words = self.device.piece_words(
-            field, self.level(1).distance2, self.cells,
-            self.device.upload(self._facings()), base=table.base, span=table.span,
+            self.level(1).distance2, self.cells, self.device.upload(self._facings()),
+            table.worths, base=table.base, span=table.span,
             near2=int((2.0 * sigma) ** 2),
         )  # fmt: skip
         return table, words
@@ -334,9 +334,7 @@ class GridFeatures:
         """Return the evidence of a wall of the other map, and in each cell of a level, uint8."""
         table = evidence_table(self.chance(step, sigma), sigma, top, doubt)
         level = self.level(step)
-        return table, self.device.score_field(
-            level.distance2, level.free, table.hit, table.miss, table.base
-        )
+        return table, self.device.score_field(level.distance2, level.free, table.worths, table.base)
 
 
 def _lattice_points(mask: U8) -> I32:

@@ -39,14 +39,14 @@ class ScoreTable:
     """The worth of a wall point by its squared distance to the other map's nearest wall.
 
     Attributes:
-        hit, miss: (4097,) uint16; ``base + hit - miss * free share`` is a field's cell.
+        worths: (4097,) uint16 hit, and miss above 8 bits; a field's cell is ``base + hit - miss *
+            free share``.
         base: worth of a point in unknown space.
         span: largest gain over the base, so that (value - base) / span is 1 on a wall.
         unit: nats a value, where the values count evidence.
     """
 
-    hit: U16
-    miss: U16
+    worths: U16
     base: int
     span: int
     unit: float = 0.0
@@ -61,7 +61,7 @@ def score_table(sigma: float, base: int, span: int) -> ScoreTable:
     d = _distances(sigma)
     hit = np.rint(span * likeness(sigma)).astype(np.uint16)
     miss = np.rint(base * np.where(d > 1.5, np.minimum(1.0, d / 4.0), 0.0)).astype(np.uint16)
-    return ScoreTable(hit, miss, base, span)
+    return ScoreTable(hit | miss << np.uint16(8), base, span)
 
 
 def evidence_table(chance: float, sigma: float, top: int, doubt: float = 0.0) -> ScoreTable:
@@ -80,10 +80,10 @@ def evidence_table(chance: float, sigma: float, top: int, doubt: float = 0.0) ->
     least -= doubt * (most - least)
     unit = (1.0 + doubt) * math.log((HIT + STRAY) / STRAY) / top
     base = round(-least / unit)
-    value = np.clip(np.rint(evidence / unit), -base, top - base).astype(np.int64)
-    hit, miss = (np.maximum(part, 0).astype(np.uint16) for part in (value, -value))
-    hit.flags.writeable = miss.flags.writeable = False
-    return ScoreTable(hit, miss, base, top - base, unit)
+    value = np.clip(np.rint(evidence / unit), -base, top - base).astype(np.int16)
+    worths = np.where(value < 0, -value << 8, value).view(np.uint16)
+    worths.flags.writeable = False
+    return ScoreTable(worths, base, top - base, unit)
 
 
 @cache

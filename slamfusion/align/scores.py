@@ -270,8 +270,8 @@ def count_met(
         CountedSide(points, ways, other.cells, other.level(1).distance2)
         for points, (_, ways, other) in zip(samples, pair.sides(motions), strict=True)
     ]
-    hit, miss, base = FINE_TABLE.hit, FINE_TABLE.miss, FINE_TABLE.base
-    return pair.device.pose_counts(*sides, hit=hit, miss=miss, base=base, limits2=limits2)
+    worths, base = FINE_TABLE.worths, FINE_TABLE.base
+    return pair.device.pose_counts(*sides, worths=worths, base=base, limits2=limits2)
 
 
 def walls_found(pair: Pair, motions: F64, sigma: float, scales: F64, points: int) -> F64:

@@ -169,8 +169,7 @@ class FieldDevice(ArrayDevice):
         self,
         distance2: DeviceArray[np.uint16],
         free_share: DeviceArray[np.uint8],
-        hit: U16,
-        miss: U16,
+        worths: U16,
         base: int,
     ) -> DeviceArray[np.uint8]:
         """Return what a wall point of the other map is worth in each cell, 0..255.
@@ -178,19 +177,18 @@ class FieldDevice(ArrayDevice):
         Args:
             distance2: (H, W) uint16 from ``distance_squared``.
             free_share: (H, W) uint8, 0..255.
-            hit, miss: (4097,) uint16, by squared distance.
+            worths: (4097,) uint16 by squared distance: hit, and miss above 8 bits.
             base: worth of a cell that says nothing.
         """
         if self.opencl:
-            worths = self.upload(hit.astype(np.uint32) | miss.astype(np.uint32) << 16)
             return self.opencl.launch_new(
                 distance2.shape, np.uint8, "score_field", (-(-distance2.size // RUN),), distance2,
-                free_share, worths, base, distance2.size,
+                free_share, self.upload(worths), base, distance2.size,
             )  # fmt: skip
         distance2, free_share = host(distance2), host(free_share)
-        value = base + hit[distance2].astype(np.int32)
-        value -= free_share.astype(np.int32) * miss[distance2] // FIELD_ONE
-        return np.clip(value, 0, FIELD_ONE).astype(np.uint8)
+        worth = worths[distance2].astype(np.int32)
+        value = base + (worth & 255) - free_share * (worth >> 8) // FIELD_ONE
+        return np.asarray(np.clip(value, 0, FIELD_ONE), dtype=np.uint8)
 
     def wall_distances(
         self, distance2: DeviceArray[np.uint16], free_share: DeviceArray[np.uint8], most: int

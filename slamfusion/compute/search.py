@@ -129,7 +129,7 @@ def _narrow_scores(side: ScoredSide, motions: F64, drop: int) -> I32:
     return out
 
 
-def _pose_counts(side: CountedSide, hit: U16, miss: U16, base: int, limits2: Sequence[int]) -> I64:
+def _pose_counts(side: CountedSide, worths: U16, base: int, limits2: Sequence[int]) -> I64:
     """Return what one side meets; see ``SearchDevice.pose_counts``."""
     cells, distance2 = host(side.cells), host(side.distance2)
     height, width = cells.shape
@@ -141,7 +141,8 @@ def _pose_counts(side: CountedSide, hit: U16, miss: U16, base: int, limits2: Seq
         inside = (row >= 0) & (col >= 0) & (row < height) & (col < width)
         at = row[inside], col[inside]
         is_near, is_free = distance2[at] <= limits, cells[at] == FREE
-        worth = base + hit[distance2[at]].astype(np.int64) - is_free * miss[distance2[at]]
+        worth = worths[distance2[at]].astype(np.int64)
+        worth = base + (worth & 255) - is_free * (worth >> 8)
         away = base * (len(x2) - len(worth))
         out[p, :2] = np.clip(worth, 0, FIELD_ONE).sum() + away, np.sum(cells[at] != UNKNOWN)
         out[p, 2:] = [*is_near.sum(axis=1), *(~is_near & is_free).sum(axis=1)]
@@ -283,12 +284,12 @@ class SearchDevice(ArrayDevice):
         return np.where(out > least, out, np.int32(-1))
 
     def pose_counts(
-        self, *sides: CountedSide, hit: U16, miss: U16, base: int, limits2: Sequence[int] = ()
+        self, *sides: CountedSide, worths: U16, base: int, limits2: Sequence[int] = ()
     ) -> list[I64]:
         """Return what the points of each side meet under each of its motions.
 
         Args:
-            hit, miss, base: the worth of a point, as of ``score_field``, or ``base`` off the map.
+            worths, base: the worth of a point, as of ``score_field``, or ``base`` off the map.
             limits2: up to ``LIMITS_MAX`` squared distances in cells.
 
         Returns:
@@ -296,16 +297,16 @@ class SearchDevice(ArrayDevice):
             from a wall, and for each limit the points in free space that are farther.
         """
         if not self.opencl:
-            return [_pose_counts(side, hit, miss, base, limits2) for side in sides]
+            return [_pose_counts(side, worths, base, limits2) for side in sides]
         started, given = [], self.upload(np.array([*limits2, 0], dtype=np.int32))
-        worths = self.opencl.table(hit.astype(np.uint32) | miss.astype(np.uint32) << 16)
+        table = self.opencl.table(worths)
         for points, motions, cells, distance2 in sides:
             poses = motions.T.astype(np.int64)
             n, chunks = len(poses), -(-len(points) // CHUNK_POINTS)
             partial = self.opencl.start_into(
                 np.empty((n, chunks, 2 + 2 * len(limits2)), np.int32), "pose_counts", (chunks, n),
                 self.upload(points), len(points), self.upload(poses), n, cells, distance2,
-                *cells.shape, worths, base, given, len(limits2), CHUNK_POINTS, chunks,
+                *cells.shape, table, base, given, len(limits2), CHUNK_POINTS, chunks,
             )  # fmt: skip
             started.append(partial)
         return [np.asarray(part().sum(axis=1, dtype=np.int64)) for part in started]

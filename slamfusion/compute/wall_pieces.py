@@ -12,8 +12,8 @@ import numpy as np
 
 from slamfusion.compute.arrays import ArrayDevice, DeviceArray, host
 from slamfusion.compute.lattice import cells_at, fixed_cells
-from slamfusion.compute.layout import FACING_PARTS, OPPOSED_PARTS, PIECE_LANES, RUN
-from slamfusion.geometry import B8, F64, I32, I64, U8
+from slamfusion.compute.layout import FACING_PARTS, FIELD_ONE, FREE, OPPOSED_PARTS, PIECE_LANES, RUN
+from slamfusion.geometry import B8, F64, I32, I64, U8, U16
 
 
 def is_another(own: U8 | I64, other: U8 | I64, turn: int) -> B8:
@@ -72,10 +72,10 @@ class WallPieceDevice(ArrayDevice):
 
     def piece_words(
         self,
-        field: DeviceArray[np.uint8],
         distance2: DeviceArray[np.uint16],
         cells: DeviceArray[np.int8],
         facing: DeviceArray[np.uint8],
+        worths: U16,
         *,
         base: int,
         span: int,
@@ -84,23 +84,26 @@ class WallPieceDevice(ArrayDevice):
         """Return (H, W) uint32 all that a piece looks up in a cell.
 
         Args:
-            field: (H, W) uint8.
             distance2: (H, W) uint16. cells: (H, W) int8; seen are known cells, and cells within
                 ``near2`` of a wall.
             facing: (H, W) uint8 what each cell faces.
+            worths: of a wall, as of ``score_field``.
             base, span: worth of a cell that says nothing, and the most above it of a known one.
 
         Returns:
-            The field's value, above 8 bits 1 where seen, above 16 the most that it could be, above
-            24 the facing.
+            The worth of a wall, above 8 bits 1 where seen, above 16 the most that it could be,
+            above 24 the facing.
         """
         if self.opencl:
             return self.opencl.launch_new(
-                field.shape, np.uint32, "piece_words", (-(-field.size // RUN),), field, distance2,
-                cells, facing, base, span, near2, field.size,
+                cells.shape, np.uint32, "piece_words", (-(-cells.size // RUN),), distance2, cells,
+                facing, self.upload(worths), base, span, near2, cells.size,
             )  # fmt: skip
-        field, known = host(field).astype(np.uint32), host(cells) >= 0
-        seen = known | (host(distance2) <= near2)
+        distance2, cells = host(distance2), host(cells)
+        worth = worths[distance2].astype(np.int32)
+        worth = base + (worth & 255) - (cells == FREE) * (worth >> 8)
+        field, known = np.clip(worth, 0, FIELD_ONE).astype(np.uint32), cells >= 0
+        seen = known | (distance2 <= near2)
         could = np.where(known, np.uint32(span), field - np.uint32(base)) & np.uint32(255)
         facing = host(facing).astype(np.uint32)
         return np.asarray(field | seen << np.uint32(8) | could << 16 | facing << 24, np.uint32)

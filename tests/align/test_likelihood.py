@@ -22,7 +22,7 @@ TOP = st.sampled_from((15, 255))
 
 def value_of(table: ScoreTable) -> np.ndarray:
     """What a free cell or a wall adds to the base, by squared distance."""
-    return table.hit.astype(int) - table.miss.astype(int)
+    return (table.worths & 255).astype(int) - (table.worths >> 8)
 
 
 @given(chance=CHANCE, sigma=SIGMA, top=TOP)
@@ -40,8 +40,8 @@ def test_a_table_is_the_logarithm_of_the_likelihood_ratio_in_units(
 def test_farther_from_a_wall_is_never_worth_more(chance: float, sigma: float, top: int) -> None:
     table = evidence_table(chance, sigma, top)
     assert np.all(np.diff(value_of(table)) <= 0)
-    assert np.all(np.diff(table.hit.astype(int)) <= 0)
-    assert np.all(np.diff(table.miss.astype(int)) >= 0)
+    assert np.all(np.diff((table.worths & 255).astype(int)) <= 0)
+    assert np.all(np.diff((table.worths >> 8).astype(int)) >= 0)
 
 
 def field_of(
@@ -112,6 +112,6 @@ def test_score_tables_equal_their_definition(sigma: float) -> None:
     table = score_table(sigma, 64, 191)
     for squared in range(4097):
         d = math.sqrt(squared) / sigma
-        assert table.hit[squared] == round(191 * math.exp(-0.5 * d * d))
+        assert table.worths[squared] & 255 == round(191 * math.exp(-0.5 * d * d))
         # 1.5 widths of a wall are beside it still.
-        assert table.miss[squared] == (round(64 * min(1.0, d / 4.0)) if d > 1.5 else 0)
+        assert table.worths[squared] >> 8 == (round(64 * min(1.0, d / 4.0)) if d > 1.5 else 0)

@@ -57,18 +57,16 @@ def _distance_squared(device: ComputeDevice, sample: Sample) -> Arrays:
     return fetch(device, [device.distance_squared(walls, reach) for reach in reaches])
 
 
-def _worths() -> tuple[npt.NDArray[np.uint16], npt.NDArray[np.uint16]]:
+def _worths() -> npt.NDArray[np.uint16]:
     """Return what a wall point gains and loses by squared distance."""
     d2 = np.arange(DISTANCE2_MAX + 1)
     hit = np.rint(191 * np.exp(-d2 / 18.0)).astype(np.uint16)
-    return hit, np.minimum(d2, BASE).astype(np.uint16)
+    return hit | np.minimum(d2, BASE).astype(np.uint16) << np.uint16(8)
 
 
 def _score_field(device: ComputeDevice, sample: Sample) -> Arrays:
-    hit, miss = _worths()
-    share = device.upload(sample.field)
-    field = device.score_field(device.upload(sample.distance2), share, hit, miss, BASE)
-    return fetch(device, [field])
+    given = (device.upload(plane) for plane in (sample.distance2, sample.field))
+    return fetch(device, [device.score_field(*given, _worths(), BASE)])
 
 
 def _known_by_distance(device: ComputeDevice, sample: Sample) -> Arrays:
@@ -142,11 +140,10 @@ def _pose_counts(device: ComputeDevice, sample: Sample) -> Arrays:
     fields = device.upload(sample.cells), device.upload(sample.distance2)
     motions = fixed_poses(sample.motions).T.astype(np.float64)
     sides = [CountedSide(sample.points(count), motions, *fields) for count in (1, 150)]
-    hit, miss = _worths()
     return [
         counts
         for limits2 in ((), (9, 16), (1, 4, 9, 16, 64))
-        for counts in device.pose_counts(*sides, hit=hit, miss=miss, base=BASE, limits2=limits2)
+        for counts in device.pose_counts(*sides, worths=_worths(), base=BASE, limits2=limits2)
     ]
 
 
@@ -177,9 +174,8 @@ def _neighbour_scores(device: ComputeDevice, sample: Sample) -> Arrays:
 
 def _piece_words(device: ComputeDevice, sample: Sample) -> Arrays:
     facing = sample.rng.integers(0, 256, sample.shape).astype(np.uint8)
-    given = (sample.field, sample.distance2, sample.cells, facing)
-    fields = [device.upload(field) for field in given]
-    return fetch(device, [device.piece_words(*fields, base=BASE, span=191, near2=9)])
+    fields = [device.upload(field) for field in (sample.distance2, sample.cells, facing)]
+    return fetch(device, [device.piece_words(*fields, _worths(), base=BASE, span=191, near2=9)])
 
 
 def _piece_sums(device: ComputeDevice, sample: Sample) -> Arrays:
