@@ -362,8 +362,6 @@ def _without_rims(grid: NormalizedGrid) -> NormalizedGrid:
     free, unknown = (grid.cells == 0).view(np.uint8), (grid.cells < 0).view(np.uint8)
     beside_free = grown(free)
     rims = unknown & beside_free & grown(grid.solid)
-    if not rims.any():
-        return grid
     before, after = (
         np.count_nonzero(grid.solid & near) for near in (beside_free, grown(free | rims))
     )
