@@ -215,6 +215,8 @@ def _print(run: jobs.run_files.LogRun) -> None:
                 print(f"{item.name}: {item.detail}", file=sys.stderr)
     if not settings.as_json:
         _print_tables(run)
+    for fault in run.log_faults():
+        output.notice(": ".join(fault))
     warnings = run.sentences()
     if settings.as_json or settings.verbose:
         for sentence in warnings:

@@ -373,3 +373,8 @@ class LogRecord:
         """Return the record of a log's last iteration."""
         notes = (*log.notes, *log.deskewing.sentences())
         return cls(log.path, log.skips, log.warnings, notes, log.has_stamps)
+
+    def faults(self) -> list[tuple[str, str]]:
+        """Return what was left out and what is odd, each with its place."""
+        left_out = [("left out of the log", text) for text in self.skipped.sentences()]
+        return [*left_out, *(("odd in the log", text) for text in self.warnings.sentences())]

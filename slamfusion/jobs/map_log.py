@@ -218,9 +218,7 @@ def run_remarks(run: ProducerRun) -> list[tuple[str, str]]:
     """Return what was left out, what is odd, and what the log says, each with its place."""
     remarks = [(f"left out by {run.name}", item) for item in run.health.skips.sentences("scan")]
     if run.log is not None:
-        remarks += [("left out of the log", item) for item in run.log.skipped.sentences()]
-        remarks += [("odd in the log", item) for item in run.log.warnings.sentences()]
-        remarks += [("the log", item) for item in run.log.notes]
+        remarks += [*run.log.faults(), *(("the log", item) for item in run.log.notes)]
     return remarks
 
 

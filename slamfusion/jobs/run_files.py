@@ -18,6 +18,7 @@ from slamfusion.evidence.recommendation import RankedPath, Recommendation
 from slamfusion.fusion.path_check import PathGap
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import AtomicFiles, read_trajectory, save_map, write_tum
+from slamfusion.io.log import LogRecord
 from slamfusion.jobs import outputs
 from slamfusion.jobs.cases import CaseFile, files_by_case
 from slamfusion.jobs.fuse_documents import (
@@ -287,8 +288,14 @@ class LogRun:
 
     def log_notes(self) -> list[str]:
         """Return what the log says of itself, and how its scans were deskewed."""
-        logs = (item.run.log for item in self.results.values())
-        return list(dict.fromkeys(note for log in logs if log is not None for note in log.notes))
+        return list(dict.fromkeys(note for log in self._logs() for note in log.notes))
+
+    def log_faults(self) -> list[tuple[str, str]]:
+        """Return what was left out of the log and what is odd in it, each with its place."""
+        return list(dict.fromkeys(fault for log in self._logs() for fault in log.faults()))
+
+    def _logs(self) -> list[LogRecord]:
+        return [item.run.log for item in self.results.values() if item.run.log is not None]
 
     def sentences(self) -> tuple[str, ...]:
         """Return what was left out and what is doubtful; ``not_measured`` and ``error`` apart."""

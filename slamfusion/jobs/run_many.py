@@ -182,7 +182,7 @@ def outcome(task: LogTask, run: LogRun, warnings: Sequence[str]) -> RunOfLog:
         fused_count=0 if run.usable is None else len(run.usable.accepted),
         recommendation=run.recommendation,
         error=run.error,
-        warnings=(*warnings, *run.sentences()),
+        warnings=(*warnings, *map(": ".join, run.log_faults()), *run.sentences()),
         not_measured=run.not_measured,
         time_s=run.time_s,
         rows=run_rows(run, task.case, "" if task.seed is None else str(task.seed)),

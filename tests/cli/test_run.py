@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import shutil
 from pathlib import Path
 from typing import Any
@@ -81,6 +82,20 @@ def test_the_tables_name_the_same_and_the_vote_is_that_of_fuse(
     again, fused = load_map(tmp_path / "fused.yaml"), load_map(out / "fused.yaml")
     assert again.origin == fused.origin
     assert np.array_equal(again.cells, fused.cells)
+
+
+def test_a_run_names_what_the_log_lost(place: Path, tmp_path: Path) -> None:
+    log, lines = tmp_path / "cut.log.gz", (place / "flat.log").read_bytes().splitlines()
+    longest = max(range(len(lines) // 2), key=lambda number: len(lines[number]))
+    lines[longest] = lines[longest][:100]
+    log.write_bytes(gzip.compress(b"\n".join(lines))[:-2000])
+    done = run("run", log, "-o", tmp_path / "out", *TWO)
+    assert done.returncode == 0, done.stderr
+    left_out = "left out of the log: 1 x "
+    assert f"{left_out}wrong number of fields (a cut-off line?) (line " in done.stderr
+    cut = "the packed file ends early or is damaged; nothing after this was read (line "
+    assert f"{left_out}{cut}" in done.stderr
+    assert cut in (tmp_path / "out" / "report" / "report.html").read_text()
 
 
 def test_a_run_that_fuses_nothing_leaves_the_earlier_results(
