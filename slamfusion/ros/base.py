@@ -307,6 +307,25 @@ class NodeBase:
         """Return the fully resolved name of a topic."""
         return str(self.node.resolve_topic_name(topic))
 
+    def check_type(self, kind: Any, topic: str) -> None:
+        """Raise ConfigError if this node has the topic with another type, which ends a process."""
+        for other in (*self.node.publishers, *self.node.subscriptions):
+            if other.topic_name == self.resolved(topic) and other.msg_type is not kind:
+                message = (
+                    f"wanted {type_name(kind)} on {other.topic_name!r}, found that this node has "
+                    f"it as {type_name(other.msg_type)}; name another topic"
+                )
+                raise ConfigError(message)
+
+    def senders(self, topic: str, kind: Any) -> str:
+        """Return in words who could publish a silent topic."""
+        found = [one.topic_type for one in self.node.get_publishers_info_by_topic(topic)]
+        if found and type_name(kind) not in found:
+            return f"it carries {', '.join(sorted({*found}))}; wanted {type_name(kind)}"
+        if not found:
+            return "no node publishes it"
+        return f"{found.count(type_name(kind))} node(s) could publish it"
+
     def open_device(self, wanted: str) -> ComputeDevice:
         """Open a compute device; its warnings stay in the diagnostics."""
         handler = logging.Handler(logging.WARNING)
@@ -330,6 +349,7 @@ class NodeBase:
         """Return a subscription with a safe callback; incompatible writers are in diagnostics.
 
         ``more``: of rclpy; with ``raw=True`` the callback gets the bytes of the message.
+        ConfigError: see ``check_type``.
         """
         if topic in self._mismatched:
             self._mismatched[topic] = profile
@@ -343,14 +363,18 @@ class NodeBase:
             )
             self.diagnostics.say(f"qos {topic}", text)
 
-        return self.node.create_subscription(
-            kind,
-            topic,
-            lambda message: self._call(topic, callback, message),
-            profile,
-            event_callbacks=SubscriptionEventCallbacks(incompatible_qos=on_mismatch),
-            **more,
-        )
+        try:
+            return self.node.create_subscription(
+                kind,
+                topic,
+                lambda message: self._call(topic, callback, message),
+                profile,
+                event_callbacks=SubscriptionEventCallbacks(incompatible_qos=on_mismatch),
+                **more,
+            )
+        except RuntimeError:  # of rcl, without the reason
+            self.check_type(kind, topic)
+            raise
 
     def timer(self, period_s: float, callback: Callable[[], None]) -> Any:
         """Return a timer in real time, even with simulated time."""
@@ -414,6 +438,11 @@ class NodeBase:
             return  # the first time that was received
         self.diagnostics.note("time jump", f"time jumped {jump_words(delta_s, self.clock_s())}")
         self.on_time_jump(delta_s)
+
+
+def type_name(kind: Any) -> str:
+    """Return the name of a message type as ROS tools show it."""
+    return f"{kind.__module__.partition('.')[0]}/msg/{kind.__name__}"
 
 
 def jump_words(delta_s: float, to_s: float) -> str:

@@ -7,6 +7,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from fnmatch import fnmatchcase
 from pathlib import Path
 
+from nav_msgs.msg import OccupancyGrid as OccupancyGridMessage
 from rclpy.exceptions import NameValidationException
 from rclpy.expand_topic_name import expand_topic_name
 from rclpy.parameter import Parameter
@@ -219,6 +220,10 @@ class FusionInputs:
             raise ConfigError(message)
         names = input_names(entries, self.entries)
         topics = self._topics(names)
+        for topic in topics:
+            if topic in map(self._base.resolved, self._outputs):
+                raise ConfigError(f"inputs: {topic!r} is the map that this node makes")
+            self._base.check_type(OccupancyGridMessage, topic)
         twice = {topic for topic in topics if topics.count(topic) > 1}
         if twice:
             raise ConfigError(f"inputs names one map twice: {', '.join(entries)} ({twice.pop()})")

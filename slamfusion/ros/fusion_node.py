@@ -524,10 +524,10 @@ class FusionNode(NodeBase):
         snapshot, source = self.session.snapshot, self.inputs.sources.get(name)
         record = snapshot.inputs.get(name)
         if record is None:
-            topic = "" if source is None else self.resolved(source.topic)
-            is_published = source is not None and source.silent_since_s is None
-            publishes = "a node could publish it" if is_published else "no node publishes it"
-            text = f"no map on {topic!r} yet; {publishes}"
+            text = "no map yet"
+            if source is not None:
+                topic, who = self.resolved(source.topic), self.senders(source.topic, OccupancyGrid)
+                text = f"no map on {topic!r} yet; {who}"
             return Status(PREFIX + name, Level.STALE, text, {ENTRY: entry})
         place = record.transform
         values: dict[str, object] = {

@@ -12,6 +12,7 @@ from typing import Any
 
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import MapMetaData, OccupancyGrid, Path
+from sensor_msgs.msg import LaserScan
 
 from slamfusion.compute import open_device
 from slamfusion.config import DeviceConfig, LogConfig, ProducerNodeConfig, RunConfig
@@ -265,11 +266,10 @@ class ProducerNode(NodeBase):
     def _name_silence(self) -> None:
         """Report missing scans, a slow scan, and problems with /tf."""
         now_s = time.monotonic()
-        topic, writers = self.resolved(SCAN_TOPIC), self.node.count_publishers(SCAN_TOPIC)
-        who = f"{writers} node(s) could send them" if writers else "no node sends them"
         since = "yet" if not self._inputs.received else "any more"
+        who = self.senders(SCAN_TOPIC, LaserScan)
         # Without the time, so that the text stays the same.
-        text = f"no scans on {topic!r} {since}; {who}"
+        text = f"no scans on {self.resolved(SCAN_TOPIC)!r} {since}; {who}"
         is_silent = now_s - self._inputs.last_s > self.settings.scans_stale_s
         self.diagnostics.say("scans", text if is_silent else None, Level.STALE)
         busy_s = self._session.snapshot.busy_since_s

@@ -181,6 +181,19 @@ def test_a_writer_that_offers_too_little_is_named(spun: Spun, observer: Observer
     wait(observer, spun, lambda: not spun.base.diagnostics.is_on("qos words"), "its end")
 
 
+def test_who_publishes_a_silent_topic_is_named_with_its_type(spun: Spun, observer: Observer):
+    node = spun.base
+    assert node.senders("words", String) == "no node publishes it"
+    observer.publisher(Clock, "words", qos.STREAM)
+    wanted = "it carries rosgraph_msgs/msg/Clock; wanted std_msgs/msg/String"
+    observer.wait(lambda: node.senders("words", String) == wanted, what="the type")
+    observer.publisher(String, "words2", qos.STREAM)
+    wanted = "1 node(s) could publish it"
+    observer.wait(lambda: node.senders("words2", String) == wanted, what="the publisher")
+    with pytest.raises(ConfigError, match="wanted rosgraph_msgs/msg/Clock on '/words', found"):
+        node.subscribe(Clock, "words", print, qos.STREAM)
+
+
 def test_a_node_of_the_same_name_is_named_until_it_ends(spun: Spun, observer: Observer):
     statuses = observer.statuses()
     # The same name in another namespace is another node.

@@ -13,6 +13,7 @@ pytest.importorskip("rclpy", reason="rclpy is absent: install the extra ros, or 
 
 from nav_msgs.msg import OccupancyGrid
 from rclpy.parameter import Parameter
+from sensor_msgs.msg import LaserScan
 
 from slamfusion.cli.program import run_program
 from slamfusion.compute.layout import MOST_INPUTS
@@ -230,6 +231,20 @@ def test_what_finds_no_room_is_named_and_the_others_are_fused(observer: Observer
         time.sleep(0.02)
     assert len(inputs.sources) == MOST_INPUTS
     assert "at most 32 can be: remove others" in base.diagnostics.worst()[1]
+    base.node.destroy_node()
+
+
+def test_a_topic_that_carries_no_maps_is_refused(observer: Observer) -> None:
+    base, inputs = fusion_inputs(observer, "a/map")
+    base.subscribe(LaserScan, "scan", print, qos.SENSOR)
+    for entry, said in (
+        ("/scan", "wanted nav_msgs/msg/OccupancyGrid on '/scan', found that this node has it as "),
+        ("fused/map", "inputs: '/fused/map' is the map that this node makes"),
+    ):
+        (answer,) = base.node.set_parameters([Parameter("inputs", value=["a/map", entry])])
+        assert not answer.successful
+        assert said in answer.reason
+    assert [*inputs.sources] == ["a"]
     base.node.destroy_node()
 
 
