@@ -56,12 +56,16 @@ def input_names(entries: Sequence[str], before: Mapping[str, str] | None = None)
 
 
 def entry_for(name: str, topic: str | None = None) -> str:
-    """Return the entry of an input, by default ``NAME/map``; ConfigError for an invalid name."""
-    if not name.strip("/") or NAMED in name or "," in name or name.startswith(FILE_PREFIX):
+    """Return the entry of an input, by default ``NAME/map``; ConfigError for an invalid name.
+
+    Without ``topic`` the name may be that of its topic.
+    """
+    own = name if topic is not None else name.removesuffix(MAP_SUFFIX)
+    if not own.strip("/") or NAMED in own or "," in own or own.startswith(FILE_PREFIX):
         message = f"{name!r} is no name of an input; wanted one like robot3, and --topic for others"
         raise ConfigError(message)
-    where = f"{name.rstrip('/')}{MAP_SUFFIX}" if topic is None else topic
-    return where if _short_name(where) == name.strip("/") else f"{name}{NAMED}{where}"
+    where = f"{own.rstrip('/')}{MAP_SUFFIX}" if topic is None else topic
+    return where if _short_name(where) == own.strip("/") else f"{own}{NAMED}{where}"
 
 
 def topic_of(entry: str) -> str | None:

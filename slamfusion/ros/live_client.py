@@ -23,7 +23,7 @@ from slamfusion.errors import SlamFusionError
 from slamfusion.jobs.records import LiveAnswerDocument, LiveLineJson, LiveStatusDocument
 from slamfusion.ros import qos
 from slamfusion.ros.base import DIAGNOSTICS_TOPIC, Level
-from slamfusion.ros.fusion_inputs import ENTRY, FUSION, PREFIX, entry_for
+from slamfusion.ros.fusion_inputs import ENTRY, FUSION, PREFIX, entry_for, input_names
 from slamfusion.ros.fusion_services import SAVE_AS
 from slamfusion.ros.interface import INPUTS
 from slamfusion.ros.parameters import names_of
@@ -101,7 +101,8 @@ class LiveClient:
         """
         entry = entry_for(name, topic)
         parameter = Parameter(INPUTS.name, value=[*self._entries(), entry])
-        return self._set(parameter, f"{name} is an input now ({entry})")
+        (called,) = input_names([entry])
+        return self._set(parameter, f"{called} is an input now ({entry})")
 
     def remove(self, name: str) -> LiveAnswerDocument:
         """Remove an input, and return the answer; LiveNodeError for an unknown name."""

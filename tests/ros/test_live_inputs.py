@@ -58,6 +58,7 @@ def refuse_what_cannot_be() -> None:
     with LiveClient("fusion", 30.0) as client:
         for answer, said in (
             (client.add("a"), "inputs names one map twice"),
+            (client.add("a/map"), "inputs names one map twice"),
             (client.add("again", "/a/map"), "inputs names one map twice"),
             (client.add("a", "d/map"), "inputs calls two maps 'a'"),
             (client.add("bad", "no topic"), "is no topic name"),
@@ -183,9 +184,13 @@ def test_an_entry_has_a_name_and_a_topic(
     assert [*input_names([entry])] == [given[0]]
 
 
+def test_the_name_of_a_topic_is_one_of_an_input() -> None:
+    assert entry_for("robot3/map") == entry_for("robot3")
+
+
 def test_what_is_no_name_is_refused() -> None:
-    for name in ("", "/", "a=b", "a,b", "file:lab"):
-        with pytest.raises(ConfigError, match="is no name of an input"):
+    for name in ("", "/", "/map", "a=b", "a,b", "file:lab"):
+        with pytest.raises(ConfigError, match=f"'{name}' is no name of an input"):
             entry_for(name)
 
 
