@@ -139,7 +139,10 @@ def _warn_of_mirror(path: Trajectory, truth: Trajectory) -> None:
     """Warn of a path that turns the other way than the truth on the same clock."""
     own, other = (motion[:, 1] for motion in _windows(path, truth, 0.0))
     correlation = (own @ other) / max(math.sqrt((own @ own) * (other @ other)), 1e-9)
-    if correlation < -LEAST_CORRELATION:
+    # The upper end of its 95 % interval (Fisher, 1915); the windows overlap.
+    apart = len(own) * STEP_S / WINDOW_S
+    error = 1.96 / math.sqrt(apart - 3.0) if apart > 3.0 else math.inf
+    if np.arctanh(np.clip(correlation, -0.999, 0.999)) + error < -math.atanh(LEAST_CORRELATION):
         _LOG.warning(
             "%s turns against %s (correlation %.2f): is one of them mirrored, with y and yaw "
             "negated?",

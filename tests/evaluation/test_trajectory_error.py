@@ -144,6 +144,24 @@ def test_paths_that_do_not_meet_name_both_ranges(shift_s: float) -> None:
 # --- evo as the judge ----------------------------------------------------------------------------
 
 
+def test_a_path_that_is_too_short_for_it_is_not_called_mirrored(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    """Of 60 pairs with noise alone in their yaws half turn against each other at first sight."""
+    rng = np.random.default_rng(0)
+    for count in [3] * 20 + [13] * 20 + [31] * 20:
+        path, truth = (
+            replace(own, poses=own.poses + rng.normal(0.0, 0.002, own.poses.shape))
+            for own in [Trajectory(0.1 * np.arange(count), np.zeros((count, 3)), "path")] * 2
+        )
+        trajectory_errors(path, truth)
+    assert "mirrored" not in caplog.text
+    turns = drive(60)
+    image = replace(turns, poses=turns.poses * (1.0, -1.0, -1.0))
+    trajectory_errors(replace(turns, name="slam"), image)
+    assert "slam turns against" in caplog.text
+
+
 def evo_path(trajectory: Trajectory) -> Any:
     """Return a trajectory as evo has it."""
     core = pytest.importorskip("evo.core.trajectory", reason="evo comes with the test extra")
