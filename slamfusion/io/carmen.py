@@ -110,7 +110,7 @@ class CarmenLog(ScanLog):
         trouble = _stamp_trouble([one.stamp_s for one in messages if one.kind in kinds])
         self.has_stamps = not trouble
         if trouble:
-            period = f"the scan's index times {config.index_period_s:g} s"
+            period = f"the scan's index times {config.index_period_s:g} s (--index-period-s)"
             self.notes.append(f"{trouble}; used instead: {period}")
         self.notes += _notes(messages, parser.words, is_twice=is_twice)
         self._mount = self._find_mount(messages, parser.settings.get(OFFSET_PARAM, 0.0))

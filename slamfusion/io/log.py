@@ -375,6 +375,7 @@ class LogRecord:
         return cls(log.path, log.skips, log.warnings, notes, log.has_stamps)
 
     def faults(self) -> list[tuple[str, str]]:
-        """Return what was left out and what is odd, each with its place."""
-        left_out = [("left out of the log", text) for text in self.skipped.sentences()]
-        return [*left_out, *(("odd in the log", text) for text in self.warnings.sentences())]
+        """Return what was left out and what is odd, each with its place; notes of unknown times."""
+        faults = [("left out of the log", text) for text in self.skipped.sentences()]
+        faults += [("odd in the log", text) for text in self.warnings.sentences()]
+        return faults if self.has_stamps else [*faults, *(("the log", it) for it in self.notes)]

@@ -202,8 +202,6 @@ def _log_info(path: Path, config: RunConfig, progress: Progress) -> InfoDocument
     remarks += [f"left out: {text}" for text in log.skips.sentences()]
     remarks += [f"odd: {text}" for text in log.warnings.sentences()]
     remarks += [*log.deskewing.sentences(), *log.notes]
-    if not log.has_stamps:
-        remarks.append("no time stamps: --index-period-s sets the time between scans")
     return InfoDocument(path, log=found, remarks=list(dict.fromkeys(remarks)))
 
 

@@ -219,7 +219,7 @@ def run_remarks(run: ProducerRun) -> list[tuple[str, str]]:
     remarks = [(f"left out by {run.name}", item) for item in run.health.skips.sentences("scan")]
     if run.log is not None:
         remarks += [*run.log.faults(), *(("the log", item) for item in run.log.notes)]
-    return remarks
+    return list(dict.fromkeys(remarks))
 
 
 def measure_run(run: ProducerRun, config: RunConfig, ground_truth: GroundTruth) -> Measures:
