@@ -245,9 +245,7 @@ def test_simulated_lidars_turn_and_their_logs_say_it(tmp_path: Path, model: str)
 
 
 def test_live_scans_are_deskewed_as_those_of_a_log() -> None:
-    session = ProducerSession(
-        "tinyslam", RunConfig(), open_device(), open_device, wants_odometry=True
-    )
+    session = ProducerSession("tinyslam", RunConfig(), open_device, wants_odometry=True)
     for item in sweeps(12):
         queued = QueuedScan(item.scan.stamp_s, 0.0, 0, partial(replace, item.scan), path_at)
         assert session.feed(queued) is not None

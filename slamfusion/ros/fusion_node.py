@@ -255,12 +255,12 @@ class FusionNode(NodeBase):
         self._clocks = Clocks(self.clock_s, self.diagnostics)
         # Before the inputs: odometry is received first, then poses.
         device = self._config.device.device
+        warm_up(self._config, self.open_device(device))
+        self._device = self.open_device(device)
         self.drive = DriveInput(self, device, self._on_solution)
         self._frames = FusedFrames(self, self.drive.scans.odometry)
         self.inputs.begin()
-        self._device = self.open_device(device)
         self.fusion = LiveFusion(self._config, self._device, None if is_open else names)
-        warm_up(self._config, self._device)
 
         # The last published map as message and grid; None before the first.
         self.published: tuple[OccupancyGrid, grids.OccupancyGrid] | None = None

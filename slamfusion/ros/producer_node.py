@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import math
 import time
+from functools import partial
 from typing import Any
 
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import MapMetaData, OccupancyGrid, Path
 from sensor_msgs.msg import LaserScan
 
-from slamfusion.compute import open_device
 from slamfusion.config import DeviceConfig, LogConfig, ProducerNodeConfig, RunConfig
 from slamfusion.ros import messages, qos
 from slamfusion.ros.base import Level, NodeBase, Status, Worker
@@ -76,12 +76,10 @@ class ProducerNode(NodeBase):
         self._own_interval_s = producer(kind).map_interval_s(section)
         own_frame = f"{node.get_namespace()}/{self.name}_map".strip("/")
         self._map_frame = self.settings.map_frame or own_frame
-        self._device = self.open_device(device.device)
         self._session = ProducerSession(
             kind,
             self._config,
-            self._device,
-            lambda: open_device(device.device),
+            partial(self.open_device, device.device),
             wants_odometry=self.settings.odometry_source in {"tf", "topic"},
         )
         self._dropped = 0  # only in the executor's thread
@@ -104,7 +102,7 @@ class ProducerNode(NodeBase):
         self._on_settings(self.settings)
         self.timer(LOOK_S, self._look)
         self.log.info(
-            f"{kind} on {self._device.name}, seed {self._config.seed}; map on "
+            f"{kind} on {self._session.device.name}, seed {self._config.seed}; map on "
             f"{node.resolve_topic_name(f'{name}/map')!r} in frame {self._map_frame!r}"
         )
 
@@ -259,7 +257,7 @@ class ProducerNode(NodeBase):
             "scans dropped": self._dropped,
             "scans waiting": self._worker.waiting,
             "last scan [s ago]": now_s - scans.last_s if scans.received else None,
-            "device": self._device.name,
+            "device": self._session.device.name,
         }
         return [Status("slam", level, message, values)]
 

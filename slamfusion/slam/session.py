@@ -154,8 +154,8 @@ class ProducerSession:
     ``snapshot`` and ``drawn`` may be read by any thread.
 
     Args:
-        open_drawing: opens a device for the map thread, since a queue belongs to one thread; called
-            only if the producer's map can be drawn aside.
+        open_device: opens one device for the warm-up, one for the scans and, if the producer's map
+            can be drawn aside, one for the map thread, since a queue belongs to one thread.
         clock: monotonic time, seconds.
     """
 
@@ -163,8 +163,7 @@ class ProducerSession:
         self,
         kind: str,
         config: RunConfig,
-        device: ComputeDevice,
-        open_drawing: Callable[[], ComputeDevice],
+        open_device: Callable[[], ComputeDevice],
         *,
         wants_odometry: bool,
         clock: Callable[[], float] = time.monotonic,
@@ -172,7 +171,9 @@ class ProducerSession:
         self.generation = 0
         self.snapshot = Snapshot()
         self.drawn = Drawn()
-        self._make: Callable[[], Mapper] = lambda: make_producer(kind, config, device)
+        _warm_up(lambda device: make_producer(kind, config, device), open_device())
+        self.device = open_device()
+        self._make: Callable[[], Mapper] = lambda: make_producer(kind, config, self.device)
         self._config = config
         self._wants_odometry = wants_odometry
         self._deskewer = Deskewer(config.log)
@@ -180,7 +181,7 @@ class ProducerSession:
         self._producer = self._make()
         self._drawing: ComputeDevice | None = None
         if isinstance(self._producer, DrawsAside):
-            self._drawing = open_drawing()
+            self._drawing = open_device()
             self.drawn = Drawn(time_s=0.0)
         self._producer_generation = 0
         self._job: MapJob | None = None
@@ -188,7 +189,6 @@ class ProducerSession:
         self._drawer: tuple[int, Callable[[MapJob], OccupancyGrid]] | None = None
         # Rows of the last scans: stamp, then x, y and yaw of the pose and of the odometry.
         self._moved: deque[tuple[float, ...]] = deque(maxlen=MOTIONS)
-        _warm_up(self._make(), self._drawing)
 
     def begin_new_map(self) -> None:
         """Start a new map: scans queued from now on belong to it."""
@@ -338,14 +338,18 @@ class ProducerSession:
         self.drawn = replace(self.drawn, maps=self.drawn.maps + 1)
 
 
-def _warm_up(trial: Mapper, drawing: ComputeDevice | None) -> None:
-    """Let a producer compile and run its kernels, on scans of a square room of 6 m."""
+def _warm_up(make: Callable[[ComputeDevice], Mapper], device: ComputeDevice) -> None:
+    """Let a producer compile and run its kernels, on scans of a square room of 6 m.
+
+    On a device of its own: PoCL's compiler keeps 80 MB until that is closed.
+    """
+    trial = make(device)
     angles = np.linspace(-np.pi, np.pi, WARM_UP_BEAMS, endpoint=False)
     ranges = (3.0 / np.maximum(np.abs(np.cos(angles)), np.abs(np.sin(angles)))).astype(np.float32)
     for index in range(3):
         scan = LaserScan(0.1 * index, ranges, -np.pi, 2.0 * np.pi / WARM_UP_BEAMS, 0.1, 20.0)
         trial.feed(scan, Pose2(0.3 * index, 0.0, 0.0))
-    if isinstance(trial, DrawsAside) and drawing is not None:
-        trial.map_drawer(drawing)(trial.map_job())
+    if isinstance(trial, DrawsAside):
+        trial.map_drawer(device)(trial.map_job())
     else:
         trial.grid()

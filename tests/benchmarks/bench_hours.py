@@ -111,8 +111,7 @@ class Trim:
 def produce(kind: str, log: Path, seconds: float, answers: Connection) -> None:
     """Feed a SLAM as its node does, and send what it answers."""
     use_one_arena()
-    device = open_device()
-    session = ProducerSession(kind, RunConfig(), device, open_device, wants_odometry=True)
+    session = ProducerSession(kind, RunConfig(), open_device, wants_odometry=True)
     trim = Trim()
     for chunk in chunks(log, seconds):
         poses, slowest_s, before_s = [], 0.0, time.process_time()

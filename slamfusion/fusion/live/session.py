@@ -277,7 +277,10 @@ class FusionSession:
 
 
 def warm_up(config: RunConfig, device: ComputeDevice) -> None:
-    """Fuse two small drawn maps, so that the kernels are compiled before the first real ones."""
+    """Fuse two small drawn maps, so that the kernels are compiled before the first real ones.
+
+    Close the device then: until that PoCL's compiler keeps 80 MB.
+    """
     cells = np.zeros((48, 60), dtype=np.int8)
     cells[[0, -1], :] = cells[:, [0, -1]] = cells[10:14, 20:40] = cells[30:40, 44:47] = 100
     live = replace(config.live, minimum_inputs=2)
