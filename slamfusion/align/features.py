@@ -114,7 +114,7 @@ class Level:
         most = int(self.seen_cells * DISTANCE_ONE)
         return self.device.wall_distances(self.distance2, self.free, most)
 
-    @cached_property
+    @property
     def host_distance2(self) -> U16:
         """(H, W) ``distance2`` on the host."""
         return self.device.download(self.distance2)
@@ -172,7 +172,7 @@ class GridFeatures:
     @cached_property
     def cells(self) -> DeviceArray[Any]:
         """(H, W) int8 on the device, see ``NormalizedGrid``."""
-        return self.device.upload(self.grid.cells)
+        return self.device.wrap_host(self.grid.cells)
 
     @cached_property
     def centre(self) -> tuple[float, float]:
@@ -205,7 +205,7 @@ class GridFeatures:
 
     @_kept
     def _solid(self) -> DeviceArray[Any]:
-        return self.device.upload(self.grid.solid)
+        return self.device.wrap_host(self.grid.solid)
 
     @_kept
     def _surface(self) -> tuple[DeviceArray[Any], I32]:

@@ -62,6 +62,10 @@ class ArrayDevice(ABC):
         """Bring an array to the device; later changes of ``array`` do not reach it."""
 
     @abstractmethod
+    def wrap_host(self, array: npt.NDArray[Scalar]) -> DeviceArray[Scalar]:
+        """Return an array that operations only read, without a copy where memory is shared."""
+
+    @abstractmethod
     def zeros(self, shape: tuple[int, ...], dtype: npt.DTypeLike) -> DeviceArray[Any]:
         """Return an array of zeros for few writes: on a CPU pages that stay 0 take no memory."""
 

@@ -73,6 +73,10 @@ class NumpyDevice(ComputeDevice):
         """Return a copy that operations may change in place."""
         return array.copy()
 
+    def wrap_host(self, array: npt.NDArray[Scalar]) -> DeviceArray[Scalar]:
+        """Return the array itself."""
+        return array
+
     def zeros(self, shape: tuple[int, ...], dtype: npt.DTypeLike) -> DeviceArray[Any]:
         """Return zeros; the system gives them memory when they are written."""
         return np.zeros(shape, dtype)
