@@ -273,7 +273,7 @@ __kernel void pose_counts(__global const int *points, const int count, __global 
  * of the forward and of the backward side, and the scale in cells;
  * *_distance (height, width) ushort, 1/256 cell; DISTANCE_UNSEEN where a point counts for nothing.
  * REFINE_LANES = 8 points are done at once; what lies off the map, or is not seen, weighs nothing.
- * Global: (chunks of both sides, n). */
+ * Work item c * n + p does chunk c under motion p, see pose_scores. Global: (chunks of both sides * n). */
 #define REFINE_LANES 8
 #define GATHERED(n) (uint8)(n[0], n[1], n[2], n[3], n[4], n[5], n[6], n[7])
 /* A cell and the next of its row in one word. */
@@ -297,8 +297,8 @@ __kernel void refine_terms(__global const float *forward_points, const int forwa
                            __global const float *motions, const float cx, const float cy,
                            const int chunk, const int forward_chunks, const int chunks,
                            __global float *partial) {
-  const int c = get_global_id(0), p = get_global_id(1);
-  if (c >= chunks || p >= n) return;
+  const int c = get_global_id(0) / n, p = get_global_id(0) % n;
+  if (c >= chunks) return;
   const bool backward = c >= forward_chunks;
   __global const float *points = backward ? backward_points : forward_points;
   __global const float *pose = motions + p + (backward ? 4 * n : 0);

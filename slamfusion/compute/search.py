@@ -362,7 +362,7 @@ class SearchDevice(ArrayDevice):
                 chunks.append(-(-points.shape[0] // CHUNK_POINTS))
             parts = self.opencl.launch_into(
                 np.empty((sum(chunks), n, REFINE_TERMS), np.float32), "refine_terms",
-                (sum(chunks), n), *sides, n, self.upload(motions), *centre, CHUNK_POINTS,
+                (sum(chunks) * n,), *sides, n, self.upload(motions), *centre, CHUNK_POINTS,
                 chunks[0], sum(chunks),
             )  # fmt: skip
             first, second = parts[: chunks[0]], parts[chunks[0] :]
