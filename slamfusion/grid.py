@@ -164,6 +164,9 @@ def row_parts(shape: tuple[int, int]) -> Iterator[slice]:
 def known_box(cells: I8) -> CellBox | None:
     """Return the smallest box with all known cells of (H, W) int8, or None without any."""
     height, width = cells.shape
+    edges = (cells[:1], cells[-1:], cells[:, :1], cells[:, -1:])
+    if all((edge != UNKNOWN).any() for edge in edges):
+        return CellBox(0, 0, height, width)
     has_row, has_col = np.zeros(height, dtype=np.bool_), np.zeros(width, dtype=np.bool_)
     for part in row_parts((height, width)):
         known = cells[part] != UNKNOWN
@@ -188,7 +191,8 @@ def trinary_cells(cells: I8, thresholds: NormalizeConfig) -> I8:
         # Without a sign unknown cells are the greatest.
         is_free = some.view(np.uint8) <= most_free
         is_occupied = some >= least_occupied
-        np.subtract(is_occupied.view(np.int8), ~(is_occupied | is_free), out=out, casting="unsafe")
+        is_unknown = ~(is_occupied | is_free)
+        np.subtract(is_occupied.view(np.int8), is_unknown.view(np.int8), out=out)
     return classes.reshape(cells.shape)
 
 

@@ -157,27 +157,26 @@ def normalize_grid(
     if box is not None:
         # Without unknown margins, so that a large canvas costs nothing.
         grid = grid.crop(box)
-        cells = own_cells = trinary_cells(grid.cells, config)
+        classes = own_classes = trinary_cells(grid.cells, config)
         resampled = _resample(grid, resolution, config, device)
         if resampled is not grid:
-            cells = trinary_cells(resampled.cells, config)
-        box = known_box(cells)
+            classes = trinary_cells(resampled.cells, config)
+        box = known_box(classes)
     if box is None:
         raise GridError(
             f"{name}: all {shape[0]} x {shape[1]} cells are unknown at "
             f"free <= {config.free_percent:g} % and occupied >= {config.occupied_percent:g} %; "
             "give a map with known cells or other thresholds"
         )
+    walls = device.download(device.solid_walls(device.upload(own_classes))).view(np.bool_)
+    if resampled is not grid:
+        blocks = _blocks(walls.view(np.int8), resolution / grid.resolution, 0, device)
+        walls = (_each_part(np.maximum, blocks) != 0) & (classes == 1)
     window = np.s_[box.row0 : box.row1, box.col0 : box.col1]
-    cells = np.ascontiguousarray(cells[window])
-    solid = device.download(device.solid_walls(device.upload(own_cells)))
-    blocks = _blocks(solid.view(np.int8), resolution / grid.resolution, 0, device)
-    walls = (_each_part(np.maximum, blocks)[window] != 0) & (cells == 1)
-    if not walls.any():
-        walls = cells == 1
-    walls = walls.view(np.uint8)
-    cells.flags.writeable = walls.flags.writeable = False
-    return NormalizedGrid(resampled.crop(box), cells, walls)
+    cells, walls = np.ascontiguousarray(classes[window]), np.ascontiguousarray(walls[window])
+    solid = (walls if walls.any() else cells == 1).view(np.uint8)
+    cells.flags.writeable = solid.flags.writeable = False
+    return NormalizedGrid(resampled.crop(box), cells, solid)
 
 
 def _resample(
