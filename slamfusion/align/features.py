@@ -194,7 +194,11 @@ class GridFeatures:
     @cached_property
     def wall_points(self) -> I32:
         """The solid wall cells, surface or not: lattice positions (N, 2) int32 in half cells."""
-        return _lattice_points(self.grid.solid)
+        return _lattice_points(self._wall_cells(), self.shape[1])
+
+    @_kept
+    def _wall_cells(self) -> npt.NDArray[np.intp]:
+        return _set_cells(self.grid.solid)
 
     @_kept
     def near_wall_share(self, near2: int) -> float:
@@ -215,7 +219,9 @@ class GridFeatures:
         """
         solid = self._solid()
         surface = self.device.surface_walls(self.cells, solid)
-        points = _lattice_points(self.device.download(surface))
+        walls = self._wall_cells()
+        cells = walls[self.device.download(surface).take(walls).view(np.bool_)]
+        points = _lattice_points(cells, self.shape[1])
         return (surface, points) if len(points) else (solid, self.wall_points)
 
     def level(self, step: int) -> Level:
@@ -232,7 +238,8 @@ class GridFeatures:
             free = self.device.upload((self.grid.cells == 0).view(np.uint8) * np.uint8(FIELD_ONE))
             return self._level_of(step, wall, free, points)
         wall, free = self.device.shrink(wall, self.cells, step)
-        return self._level_of(step, wall, free, _lattice_points(self.device.download(wall)))
+        points = _lattice_points(_set_cells(self.device.download(wall)), wall.shape[1])
+        return self._level_of(step, wall, free, points)
 
     @_kept
     def solid_level(self) -> Level:
@@ -289,7 +296,7 @@ class GridFeatures:
         col, row = np.floor(points * per_half_cell).astype(np.int64).T
         squares = col * (row.max(initial=0) + 1) + row
         order = np.argsort(squares, kind="stable")
-        first = np.unique(squares[order], return_index=True)[1]
+        first = np.flatnonzero(np.diff(squares[order], prepend=-1))
         starts = np.append(first, len(points)).astype(np.int32)
         return points.take(order, axis=0), starts, np.stack((col, row), axis=1)[order[first]]
 
@@ -337,13 +344,17 @@ class GridFeatures:
         return table, self.device.score_field(level.distance2, level.free, table.worths, table.base)
 
 
-def _lattice_points(mask: U8) -> I32:
-    """Return the centres of the cells that are 1, x and y in half cells, in raster order."""
+def _set_cells(mask: U8) -> npt.NDArray[np.intp]:
+    """Return which cells of a mask are 1, in raster order."""
     # Of booleans NumPy finds the set ones eight at once.
-    cells = np.flatnonzero(mask.view(np.bool_)).astype(np.int32)
-    rows = cells // np.int32(mask.shape[1])
+    return np.flatnonzero(mask.view(np.bool_))
+
+
+def _lattice_points(cells: npt.NDArray[np.intp], width: int) -> I32:
+    """Return the centres of cells of a map, x and y in half cells."""
+    rows = cells.astype(np.int32) // np.int32(width)
     points = np.empty((len(cells), 2), dtype=np.int32)
-    points[:, 0], points[:, 1] = cells - rows * mask.shape[1], rows
+    points[:, 0], points[:, 1] = cells - rows * np.int32(width), rows
     points *= 2
     points += 1
     return points
