@@ -21,7 +21,6 @@ from slamfusion.align.decide import (
     decide,
     odds,
 )
-from slamfusion.align.features import spread_sample
 from slamfusion.align.hypotheses import (
     APART_RAD,
     DISTINCT_CELLS,
@@ -215,12 +214,10 @@ def measure(pair: Pair, motion: F64) -> dict[str, float]:
     """
     size = pair.resolution
     limits2 = [int(max(metres / size, least) ** 2 + 1e-9) for metres, least in TOLERANCES]
-    samples = [
-        spread_sample(own.wall_points, SCORED_POINTS) for own in (pair.moving, pair.reference)
-    ]
+    samples = [own.wall_sample(SCORED_POINTS, solid=True) for own in (pair.moving, pair.reference)]
     counts = count_met(pair, motion[None], samples, limits2)
     _, known, match, _, _, _, *clash = (
-        [float(own[0, k]) / len(sample) for own, sample in zip(counts, samples, strict=True)]
+        [float(own[0, k]) / sample.shape[0] for own, sample in zip(counts, samples, strict=True)]
         for k in range(counts[0].shape[1])
     )
     chance = [other.near_wall_share(limits2[0]) for other in pair]

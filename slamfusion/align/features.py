@@ -284,6 +284,12 @@ class GridFeatures:
         return point_planes(spread_sample(self.level(step).points, most), self.device)
 
     @_kept
+    def wall_sample(self, most: int, *, solid: bool = False) -> DeviceArray[np.int32]:
+        """Return at most ``most`` sampled surface walls, or walls if ``solid``, on the device."""
+        points = self.wall_points if solid else self.level(1).points
+        return self.device.upload(spread_sample(points, most))
+
+    @_kept
     def wall_places(self, step: int, most: int, *, solid: bool = False) -> DeviceArray[Any]:
         """Return the same as (N, 2) float32 x and y in cells, of all wall cells if ``solid``."""
         level = self.solid_level() if solid else self.level(step)

@@ -11,7 +11,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from slamfusion.align.features import spread_sample
 from slamfusion.align.pair import Pair, both_ways, turned_about
 from slamfusion.align.scores import GOOD_DOUBT, count_met, score_motions
 from slamfusion.compute.search import FitSide
@@ -116,9 +115,7 @@ def settle(pair: Pair, motions: F64) -> F64:
     """
     motions = refine(pair, motions, 1, (12.0, 8.0), points=FINE_POINTS)
     # The median distance in cells, rounded up, of surfaces with one within 8 cells.
-    samples = [
-        spread_sample(own.level(1).points, SPREAD_POINTS) for own in (pair.moving, pair.reference)
-    ]
+    samples = [own.wall_sample(SPREAD_POINTS) for own in (pair.moving, pair.reference)]
     counts = count_met(pair, motions, samples, [r * r for r in (*SURFACE_RADII, 8)])
     near = (counts[0] + counts[1])[:, 2 : 3 + len(SURFACE_RADII)].T
     reached = 2.0 * near[:-1] >= near[-1]

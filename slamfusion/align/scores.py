@@ -14,9 +14,10 @@ from functools import cached_property
 
 import numpy as np
 
-from slamfusion.align.features import FIELD_TOP, FINE_TABLE, GridFeatures, spread_sample
+from slamfusion.align.features import FIELD_TOP, FINE_TABLE, GridFeatures
 from slamfusion.align.lines import PieceLines
 from slamfusion.align.pair import Pair
+from slamfusion.compute.arrays import DeviceArray
 from slamfusion.compute.layout import FIXED_ONE
 from slamfusion.compute.search import STEPS, CountedSide, ScoredSide
 from slamfusion.compute.wall_pieces import PieceSide
@@ -248,19 +249,19 @@ def _scored(
 
 def rank(pair: Pair, motions: F64) -> F64:
     """Return the symmetric wall score (P,) of motions; 1 for identical maps."""
-    walls = [own.level(1).points for own in (pair.moving, pair.reference)]
-    samples = [spread_sample(points, SCORED_POINTS) for points in walls]
+    grids = pair.moving, pair.reference
+    samples = [own.wall_sample(SCORED_POINTS) for own in grids]
+    walls = [len(own.level(1).points) for own in grids]
     total = np.zeros(len(motions))
-    for counts, sample, points in zip(
+    for counts, sample, count in zip(
         count_met(pair, motions, samples), samples, walls, strict=True
     ):
-        score = (counts[:, 0] / len(sample) - FINE_TABLE.base) / FINE_TABLE.span
-        total += score * len(points)
-    return total / float(sum(map(len, walls)))
+        total += count * ((counts[:, 0] / sample.shape[0] - FINE_TABLE.base) / FINE_TABLE.span)
+    return total / float(sum(walls))
 
 
 def count_met(
-    pair: Pair, motions: F64, samples: Sequence[I32], limits2: Sequence[int] = ()
+    pair: Pair, motions: F64, samples: Sequence[DeviceArray[np.int32]], limits2: Sequence[int] = ()
 ) -> list[I64]:
     """Return what points (N, 2) of each map, the moving first, meet on the other.
 

@@ -71,13 +71,13 @@ class CountedSide(NamedTuple):
     """Walls of one map on the other.
 
     Attributes:
-        points: (N, 2) int32 lattice positions, x and y in half cells.
+        points: (N, 2) int32 on the device, lattice positions, x and y in half cells.
         motions: (4, P) as of ``ScoredSide``.
         cells: (H, W) int8 on the device, in {-1, 0, 1}.
         distance2: (H, W) uint16 on the device, squared cells to the nearest wall.
     """
 
-    points: I32
+    points: DeviceArray[np.int32]
     motions: F64
     cells: DeviceArray[np.int8]
     distance2: DeviceArray[np.uint16]
@@ -135,7 +135,7 @@ def _pose_counts(side: CountedSide, worths: U16, base: int, limits2: Sequence[in
     height, width = cells.shape
     limits = np.array(limits2, dtype=np.int64)[:, None]
     out = np.zeros((side.motions.shape[1], 2 + 2 * len(limits2)), dtype=np.int64)
-    x2, y2 = side.points.T.astype(np.int64)
+    x2, y2 = host(side.points).T.astype(np.int64)
     for p, pose in enumerate(side.motions.T.astype(np.int64)):
         row, col = fixed_cells(pose, x2, y2)
         inside = (row >= 0) & (col >= 0) & (row < height) & (col < width)
@@ -302,10 +302,11 @@ class SearchDevice(ArrayDevice):
         table = self.opencl.table(worths)
         for points, motions, cells, distance2 in sides:
             poses = motions.T.astype(np.int64)
-            n, chunks = len(poses), -(-len(points) // CHUNK_POINTS)
+            n, count = len(poses), points.shape[0]
+            chunks = -(-count // CHUNK_POINTS)
             partial = self.opencl.start_into(
                 np.empty((n, chunks, 2 + 2 * len(limits2)), np.int32), "pose_counts", (chunks, n),
-                self.upload(points), len(points), self.upload(poses), n, cells, distance2,
+                points, count, self.upload(poses), n, cells, distance2,
                 *cells.shape, table, base, given, len(limits2), CHUNK_POINTS, chunks,
             )  # fmt: skip
             started.append(partial)

@@ -139,7 +139,9 @@ def _bound_blocks(device: ComputeDevice, sample: Sample) -> Arrays:
 def _pose_counts(device: ComputeDevice, sample: Sample) -> Arrays:
     fields = device.upload(sample.cells), device.upload(sample.distance2)
     motions = fixed_poses(sample.motions).T.astype(np.float64)
-    sides = [CountedSide(sample.points(count), motions, *fields) for count in (1, 150)]
+    sides = [
+        CountedSide(device.upload(sample.points(count)), motions, *fields) for count in (1, 150)
+    ]
     return [
         counts
         for limits2 in ((), (9, 16), (1, 4, 9, 16, 64))
