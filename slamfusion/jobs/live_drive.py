@@ -37,7 +37,7 @@ from slamfusion.evidence.beams import (
 from slamfusion.evidence.conditions import Condition, drive_conditions
 from slamfusion.evidence.drawn_map import MapDrawer
 from slamfusion.evidence.fused_path import visits
-from slamfusion.evidence.parting import parted, path_gaps
+from slamfusion.evidence.parting import parted, path_gap_m, path_gaps
 from slamfusion.evidence.patches import LEAST_HITS, ScanMatch, WallMap
 from slamfusion.evidence.path_frames import moved_onto
 from slamfusion.evidence.predictive import SURE, PathEvidence, score_paths
@@ -137,8 +137,8 @@ class DriveSolution:
 
     Attributes:
         path: the fused path, at the scans that are kept, in the fused frame.
-        evidence: ``transforms`` carry the newest poses of the inputs onto the path, those of the
-            input that the scans support most first.
+        evidence: ``transforms`` carry the newest poses of the inputs onto the path; the input
+            whose last pose is nearest to it is first.
         conditions: problems of the drive, in words.
         is_final: whether it is the answer of ``run``.
         walls: seen by the scans along the path; new scans are matched to them.
@@ -397,8 +397,8 @@ class LiveDrive:
             if self._drawer is None or self._drawer.lattice != own_lattice:
                 self._drawer = MapDrawer(self._device, own_lattice)
             drawn = self._drawer.draw(kept, path, DRAWN)
-        best_first = sorted(paths, key=lambda name: -evidence.scores[name].consistency)
-        corrections = {name: _correction(paths[name], path) for name in best_first}
+        nearest_first = sorted(paths, key=lambda name: path_gap_m(evidence, name, FUSED)[-1])
+        corrections = {name: _correction(paths[name], path) for name in nearest_first}
         drift = DRIFT * _blind_m(path, blind_s)
         covariance = _disagreement(evidence, contradicted) + _variances(drift, drift)
         return DriveSolution(

@@ -186,8 +186,8 @@ class FusedFrames:
     """Sends fused_map -> every voter's map frame, the fused pose, and fused_map -> odom.
 
     A voter's transform is sent with each of its poses, at their stamps; without poses, at the
-    newest stamp received. The fused pose is that of the leader: the input that the scans support
-    most, whose scan is matched to the walls along the fused path; without scans the reference, or
+    newest stamp received. The fused pose is that of the leader: the supported input that is nearest
+    to the fused path, whose scan is matched to the walls along it; without scans the reference, or
     else the best score, until it stops voting or is silent while others send poses. Stamps only
     increase (``_fresh``). The odometry frame is sent at stamps of the odometry (``OdomFrame``).
 
