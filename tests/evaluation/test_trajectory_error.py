@@ -141,9 +141,6 @@ def test_paths_that_do_not_meet_name_both_ranges(shift_s: float) -> None:
         assert word in message
 
 
-# --- evo as the judge ----------------------------------------------------------------------------
-
-
 def test_a_path_that_is_too_short_for_it_is_not_called_mirrored(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
@@ -160,6 +157,9 @@ def test_a_path_that_is_too_short_for_it_is_not_called_mirrored(
     image = replace(turns, poses=turns.poses * (1.0, -1.0, -1.0))
     trajectory_errors(replace(turns, name="slam"), image)
     assert "slam turns against" in caplog.text
+
+
+# --- evo as the judge ----------------------------------------------------------------------------
 
 
 def evo_path(trajectory: Trajectory) -> Any:
