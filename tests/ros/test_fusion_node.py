@@ -363,58 +363,61 @@ def test_pose_and_transforms_agree_and_a_point_lands_on_its_fused_cell(
     observer.node.destroy_publisher(silent)
 
 
+class Followed:
+    """A robot whose SLAMs send poses from 200 s on, and the fused poses of a started fusion."""
+
+    def __init__(
+        self, processes: Processes, observer: Observer, makers: Makers, names: str
+    ) -> None:
+        self.poses = observer.collect(PoseWithCovarianceStamped, "fused/pose")
+        start_fusion(processes)
+        makers.send_all()
+        wait_for_all(observer)
+        self.transforms = told_transforms(observer)
+        self.robot = Robot(observer, names)
+        self._observer, self._stamps_s = observer, itertools.count(200.0, 0.1)
+
+    def is_at(self, place: Pose2) -> bool:
+        """Whether the last fused pose is within 3 cm of a place."""
+        found = messages.pose2_from_message(self.poses[-1].pose.pose) if self.poses else Pose2()
+        return math.hypot(found.x - place.x, found.y - place.y) < 0.03
+
+    def wait_at(self, place: Pose2, what: str) -> None:
+        """Send poses at a place until the fused pose is there."""
+
+        def stand() -> bool:
+            self.robot.at(next(self._stamps_s), place, self.transforms)
+            self._observer.listen(0.1)
+            return self.is_at(place)
+
+        self._observer.wait(stand, what=what)
+
+
 def test_a_robot_that_stands_still_gets_its_corrected_pose(
     processes: Processes, observer: Observer, makers: Makers
 ):
-    poses = observer.collect(PoseWithCovarianceStamped, "fused/pose")
-    start_fusion(processes)
-    makers.send_all()
-    wait_for_all(observer)
-    transforms, place = told_transforms(observer), Pose2(2.0, 1.5, 0.3)
-    robot, stamps_s = Robot(observer, "b"), itertools.count(200.0, 0.1)
-
-    def stand() -> list[Any]:
-        robot.at(next(stamps_s), place, transforms)
-        observer.listen(0.1)
-        return poses
-
-    observer.wait(stand, what="the fused pose")
+    followed, place = Followed(processes, observer, makers, "b"), Pose2(2.0, 1.5, 0.3)
+    followed.wait_at(place, "the fused pose")
     observer.listen(4.0)  # as a SLAM whose robot stands still, b sends no pose
     # A closed loop moves the map of b, and its pose stays.
     shift, grid = Pose2(0.2, 0.0, 0.0), three()["b"]
     makers.send(replace(grid, origin=shift.compose(grid.origin)))
-    to_robot = transforms["b"].inverse().compose(place)
-    wanted = transforms["b"].compose(shift.inverse()).compose(to_robot)
-
-    def away_m() -> float:
-        found = messages.pose2_from_message(poses[-1].pose.pose)
-        return math.hypot(found.x - wanted.x, found.y - wanted.y)
-
-    observer.wait(lambda: away_m() < 0.03, what="the corrected pose")
+    frame = followed.transforms["b"]
+    wanted = frame.compose(shift.inverse()).compose(frame.inverse()).compose(place)
+    observer.wait(lambda: followed.is_at(wanted), what="the corrected pose")
 
 
 def test_a_silent_input_gives_no_pose_once_another_has_moved_on(
     processes: Processes, observer: Observer, makers: Makers
 ):
-    poses = observer.collect(PoseWithCovarianceStamped, "fused/pose")
-    start_fusion(processes)
-    makers.send_all()
-    wait_for_all(observer)
-    transforms, stamps_s = told_transforms(observer), itertools.count(200.0, 0.1)
-    robot, second = Robot(observer, "ab"), Pose2(4.0, 1.5, 0.3)
-
-    def is_at(place: Pose2) -> bool:
-        robot.at(next(stamps_s), place, transforms)
-        observer.listen(0.1)
-        found = messages.pose2_from_message(poses[-1].pose.pose) if poses else Pose2()
-        return math.hypot(found.x - place.x, found.y - place.y) < 0.03
-
-    observer.wait(lambda: is_at(Pose2(2.0, 1.5, 0.3)), what="the fused pose")
-    silent = robot.poses.pop("a")
+    followed, second = Followed(processes, observer, makers, "ab"), Pose2(4.0, 1.5, 0.3)
+    followed.wait_at(Pose2(2.0, 1.5, 0.3), "the fused pose")
+    silent = followed.robot.poses.pop("a")
     observer.listen(2.5)
-    observer.wait(lambda: is_at(second), what="the pose by b")
+    followed.wait_at(second, "the pose by b")
     makers.send(unlike(three()["b"]))
     observer.wait_status(FUSION, "2 of 3 inputs vote; not: b")
     observer.listen(1.0)
-    assert_near(messages.pose2_from_message(poses[-1].pose.pose), second, 0.03, 0.01)
+    last = messages.pose2_from_message(followed.poses[-1].pose.pose)
+    assert_near(last, second, 0.03, 0.01)
     observer.node.destroy_publisher(silent)
