@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ import pytest
 pytest.importorskip("rosbags", reason="rosbags comes with the bags extra")
 
 from rosbags.rosbag1 import Writer as Writer1
-from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -61,7 +62,7 @@ class Bag:
             "intensities": np.zeros(0, np.float32),
             **fields,
         }
-        return self.add(stamp_s, topic, SCAN, stamp_s=stamp_s, frame=frame, **values)
+        return self.add(stamp_s, topic, SCAN, frame=frame, **values)
 
     def odometry(
         self,
@@ -70,7 +71,7 @@ class Bag:
         topic: str = "/odom",
         child: str = "base_link",
     ) -> Bag:
-        return self.add(stamp_s, topic, ODOMETRY, stamp_s=stamp_s, pose=pose, child=child)
+        return self.add(stamp_s, topic, ODOMETRY, frame="odom", pose=pose, child=child)
 
     def transform(
         self,
@@ -81,21 +82,25 @@ class Bag:
         turn: Quaternion = LEVEL,
         topic: str = "/tf",
     ) -> Bag:
-        return self.add(
-            stamp_s, topic, TF, stamp_s=stamp_s, parent=parent, child=child, move=move, turn=turn
-        )
+        return self.add(stamp_s, topic, TF, frame=parent, child=child, move=move, turn=turn)
 
     def add(self, time_s: float, topic: str, kind: str, **values: Any) -> Bag:
         self.messages.append((time_s, topic, kind, values))
         return self
 
-    def write(self, folder: Path, kind: str = "mcap", version: int = 9) -> Path:
-        """Write the bag as one of ``KINDS`` and return what to open."""
+    def write(
+        self, folder: Path, kind: str = "mcap", version: int = 9, packed: str | None = None
+    ) -> Path:
+        """Write the bag as one of ``KINDS`` and return what to open.
+
+        Args:
+            packed: what of a ROS 2 bag is packed with zstd: STORAGE, FILE or MESSAGE.
+        """
         is_ros1 = kind.startswith("ros1")
         store = get_typestore(Stores.ROS1_NOETIC if is_ros1 else Stores.ROS2_JAZZY)
         if TF not in store.types:  # ROS 1 keeps it outside its common messages
             store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", TF))
-        path = folder / ("a.bag" if is_ros1 else f"bag-{kind}")
+        path = folder / ("a.bag" if is_ros1 else f"bag-{packed or kind}")
         if is_ros1:
             writer: Any = Writer1(path)
             if "-" in kind:
@@ -103,6 +108,8 @@ class Bag:
         else:
             plugin = StoragePlugin.MCAP if kind == "mcap" else StoragePlugin.SQLITE3
             writer = Writer2(path, version=version, storage_plugin=plugin)
+            if packed is not None:
+                writer.set_compression(CompressionMode[packed], CompressionFormat.ZSTD)
         serialize = store.serialize_ros1 if is_ros1 else store.serialize_cdr
         with writer:
             connections: dict[str, Any] = {}
@@ -110,108 +117,55 @@ class Bag:
             for number, (time_s, topic, name, values) in enumerate(self.messages):
                 if topic not in connections:
                     connections[topic] = writer.add_connection(topic, name, typestore=store)
-                message = MAKERS[name](store.types, is_ros1=is_ros1, number=number, **values)
+                message = message_of(store.types, name, time_s, number if is_ros1 else None, values)
                 recorded_ns = round((time_s if time_s > 0.0 else 5.0 + number) * 1e9)
                 writer.write(connections[topic], recorded_ns, serialize(message, name))
         return path
 
 
-def _header(types: Any, stamp_s: float, frame: str, *, is_ros1: bool, number: int) -> Any:
-    nanoseconds = round(stamp_s * 1e9)
-    time = types["builtin_interfaces/msg/Time"](
-        sec=nanoseconds // 10**9, nanosec=nanoseconds % 10**9
-    )
-    extra = {"seq": number} if is_ros1 else {}
-    return types["std_msgs/msg/Header"](stamp=time, frame_id=frame, **extra)
-
-
-def _scan(
-    types: Any, *, stamp_s: float, frame: str, is_ros1: bool, number: int, **values: Any
+def message_of(
+    types: Any, kind: str, time_s: float, sequence: int | None, values: dict[str, Any]
 ) -> Any:
-    header = _header(types, stamp_s, frame, is_ros1=is_ros1, number=number)
-    return types[SCAN](header=header, **values)
+    """Return a message of ``types``; a ``sequence`` number is in the headers of ROS 1 alone."""
 
+    def made(name: str, **fields: Any) -> Any:
+        return types[name if "/" in name else f"geometry_msgs/msg/{name}"](**fields)
 
-def _pose(types: Any, pose: tuple[float, float, float]) -> Any:
-    geometry = "geometry_msgs/msg"
-    x, y, z, w = yaw_quaternion(pose[2])
-    return types[f"{geometry}/Pose"](
-        position=types[f"{geometry}/Point"](x=pose[0], y=pose[1], z=0.0),
-        orientation=types[f"{geometry}/Quaternion"](x=x, y=y, z=z, w=w),
-    )
+    def of_axes(name: str, numbers: Sequence[float]) -> Any:
+        return made(name, **dict(zip("xyzw", numbers, strict=False)))
 
-
-def _pose_stamped(
-    types: Any, *, stamp_s: float, pose: tuple[float, float, float], is_ros1: bool, number: int
-) -> Any:
-    header = _header(types, stamp_s, "map", is_ros1=is_ros1, number=number)
-    return types[POSE](header=header, pose=_pose(types, pose))
-
-
-def _pose_with_covariance(
-    types: Any, *, stamp_s: float, pose: tuple[float, float, float], is_ros1: bool, number: int
-) -> Any:
-    kind = types["geometry_msgs/msg/PoseWithCovariance"]
-    place = kind(pose=_pose(types, pose), covariance=np.zeros(36))
-    header = _header(types, stamp_s, "map", is_ros1=is_ros1, number=number)
-    return types[LOCALIZED](header=header, pose=place)
-
-
-def _text(types: Any, *, data: str, is_ros1: bool, number: int) -> Any:
-    del is_ros1, number
-    return types[TEXT](data=data)
-
-
-def _odometry(
-    types: Any,
-    *,
-    stamp_s: float,
-    pose: tuple[float, float, float],
-    child: str,
-    is_ros1: bool,
-    number: int,
-) -> Any:
-    geometry = "geometry_msgs/msg"
-    vector, covariance = types[f"{geometry}/Vector3"](x=0.0, y=0.0, z=0.0), np.zeros(36)
-    place = _pose(types, pose)
-    twist = types[f"{geometry}/Twist"](linear=vector, angular=vector)
-    return types[ODOMETRY](
-        header=_header(types, stamp_s, "odom", is_ros1=is_ros1, number=number),
-        child_frame_id=child,
-        pose=types[f"{geometry}/PoseWithCovariance"](pose=place, covariance=covariance),
-        twist=types[f"{geometry}/TwistWithCovariance"](twist=twist, covariance=covariance),
-    )
-
-
-def _transform(
-    types: Any,
-    *,
-    stamp_s: float,
-    parent: str,
-    child: str,
-    move: tuple[float, float, float],
-    turn: Quaternion,
-    is_ros1: bool,
-    number: int,
-) -> Any:
-    geometry = "geometry_msgs/msg"
-    x, y, z, w = turn
-    stamped = types[f"{geometry}/TransformStamped"](
-        header=_header(types, stamp_s, parent, is_ros1=is_ros1, number=number),
-        child_frame_id=child,
-        transform=types[f"{geometry}/Transform"](
-            translation=types[f"{geometry}/Vector3"](x=move[0], y=move[1], z=move[2]),
-            rotation=types[f"{geometry}/Quaternion"](x=x, y=y, z=z, w=w),
+    if kind == TEXT:
+        return made(TEXT, **values)
+    nanoseconds = round(time_s * 1e9)
+    header = made(
+        "std_msgs/msg/Header",
+        stamp=made(
+            "builtin_interfaces/msg/Time", sec=nanoseconds // 10**9, nanosec=nanoseconds % 10**9
         ),
+        frame_id=values.get("frame", "map"),
+        **({} if sequence is None else {"seq": sequence}),
     )
-    return types[TF](transforms=[stamped])
-
-
-MAKERS: dict[str, Any] = {
-    SCAN: _scan,
-    ODOMETRY: _odometry,
-    TF: _transform,
-    POSE: _pose_stamped,
-    LOCALIZED: _pose_with_covariance,
-    TEXT: _text,
-}
+    if kind == SCAN:
+        return made(
+            SCAN, header=header, **{key: own for key, own in values.items() if key != "frame"}
+        )
+    if kind == TF:
+        move, turn = of_axes("Vector3", values["move"]), of_axes("Quaternion", values["turn"])
+        motion = made("Transform", translation=move, rotation=turn)
+        child = values["child"]
+        stamped = made("TransformStamped", header=header, child_frame_id=child, transform=motion)
+        return made(TF, transforms=[stamped])
+    x, y, yaw_rad = values["pose"]
+    place, turn = of_axes("Point", (x, y, 0.0)), of_axes("Quaternion", yaw_quaternion(yaw_rad))
+    pose = made("Pose", position=place, orientation=turn)
+    if kind == POSE:
+        return made(POSE, header=header, pose=pose)
+    covariance = np.zeros(36)
+    pose = made("PoseWithCovariance", pose=pose, covariance=covariance)
+    if kind == LOCALIZED:
+        return made(LOCALIZED, header=header, pose=pose)
+    still = of_axes("Vector3", (0.0, 0.0, 0.0))
+    twist = made("Twist", linear=still, angular=still)
+    twist = made("TwistWithCovariance", twist=twist, covariance=covariance)
+    child = values.get("child", "base_link")
+    return made(ODOMETRY, header=header, child_frame_id=child, pose=pose, twist=twist)

@@ -18,8 +18,7 @@ from slamfusion.errors import LogError
 from slamfusion.io import open_log
 from slamfusion.io.bags.log import BagLog
 from slamfusion.io.bags.storage import zstd
-from tests.io.bags import MAKERS, SCAN, TEXT, Bag
-from tests.io.test_regular import packed_bag
+from tests.io.bags import SCAN, TEXT, Bag, message_of
 
 TURN = 2.0 * math.pi
 
@@ -219,8 +218,7 @@ def test_a_laser_in_another_encoding_is_named_with_it(tmp_path: Path) -> None:
 def test_messages_as_ros1_writes_them_in_an_mcap_file(tmp_path: Path) -> None:
     store = get_typestore(Stores.ROS1_NOETIC)
     writer = Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP)
-    values = Bag().scan(11.0).messages[0][3]
-    message = MAKERS[SCAN](store.types, is_ros1=True, number=1, **values)
+    message = message_of(store.types, SCAN, 11.0, 1, Bag().scan(11.0).messages[0][3])
     with writer:
         scans = writer.add_connection(
             "/scan", SCAN, typestore=get_typestore(Stores.LATEST), serialization_format="ros1"
@@ -306,11 +304,11 @@ def test_a_packed_file_that_is_cut_off_is_read_to_where_it_goes(tmp_path: Path) 
     assert 1 <= len(list(open_log(path))) < 44
 
 
-@pytest.mark.parametrize("plugin", ["MCAP", "SQLITE3"])
+@pytest.mark.parametrize("kind", ["mcap", "sqlite3"])
 def test_a_bag_that_packs_each_message_may_be_given_as_its_file_alone(
-    tmp_path: Path, plugin: str
+    tmp_path: Path, kind: str
 ) -> None:
-    folder = packed_bag(tmp_path, Bag().scan(10.0).scan(10.1), "MESSAGE", plugin)
+    folder = Bag().scan(10.0).scan(10.1).write(tmp_path, kind, packed="MESSAGE")
     (path,) = [item for item in folder.iterdir() if item.suffix != ".yaml"]
     assert len(list(open_log(path))) == 2
 

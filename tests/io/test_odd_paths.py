@@ -159,8 +159,7 @@ def test_nanoseconds_in_a_tum_file(tmp_path: Path) -> None:
 
 def with_poses(bag: Bag, topic: str, kind: str) -> Bag:
     for stamp_s, pose in zip(STAMPS_S.tolist(), POSES.tolist(), strict=True):
-        more = {"child": "base_link"} if kind == ODOMETRY else {}
-        bag.add(stamp_s, topic, kind, stamp_s=stamp_s, pose=tuple(pose), **more)
+        bag.add(stamp_s, topic, kind, pose=pose)
     return bag
 
 

@@ -6,7 +6,6 @@ import os
 import socket
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -101,29 +100,10 @@ def test_a_bomb_in_a_bag_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     for kind in ("ros1-bz2", "ros1-lz4"):
         (tmp_path / kind).mkdir()
         paths.append(bag.write(tmp_path / kind, kind))
-    paths += [packed_bag(tmp_path, bag, mode) for mode in ("STORAGE", "MESSAGE")]
+    paths += [bag.write(tmp_path, packed=mode) for mode in ("STORAGE", "MESSAGE")]
     for path in paths:
         with pytest.raises(LogError, match=r"a piece unpacks to more than 64\.0 KiB"):
             list(open_log(path))
-
-
-def packed_bag(folder: Path, bag: Any, mode: str, plugin: str = "MCAP") -> Path:
-    """Write a bag's messages to a folder that is packed with zstd."""
-    from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer  # noqa: PLC0415
-    from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415
-
-    from tests.io import bags  # noqa: PLC0415
-
-    store = get_typestore(Stores.ROS2_JAZZY)
-    path = folder / f"packed-{mode}"
-    writer = Writer(path, version=9, storage_plugin=StoragePlugin[plugin])
-    writer.set_compression(CompressionMode[mode], CompressionFormat.ZSTD)
-    with writer:
-        connection = writer.add_connection("/scan", bags.SCAN, typestore=store)
-        for number, (time_s, _, name, values) in enumerate(bag.messages):
-            made = bags.MAKERS[name](store.types, is_ros1=False, number=number, **values)
-            writer.write(connection, round(time_s * 1e9), store.serialize_cdr(made, name))
-    return path
 
 
 @pytest.mark.parametrize("mode", ["STORAGE", "FILE", "MESSAGE"])
@@ -132,4 +112,4 @@ def test_packed_bags_of_ordinary_size_are_read(tmp_path: Path, mode: str) -> Non
     bag = bags.Bag()
     for number in range(20):
         bag.scan(1.0 + 0.1 * number, [1.0] * 2000, angle_increment=0.003)
-    assert sum(1 for _ in open_log(packed_bag(tmp_path, bag, mode))) == 20
+    assert sum(1 for _ in open_log(bag.write(tmp_path, packed=mode))) == 20
