@@ -18,8 +18,9 @@ from slamfusion.errors import LogError
 from slamfusion.evaluation.measured import GroundTruth, Row, figure_of, result_rows
 from slamfusion.experiments.page import Experiment
 from slamfusion.experiments.runs import Inputs, RunResult, Setup, Tell, run_all
-from slamfusion.io import LogScan, open_log, read_trajectory
+from slamfusion.io import LogScan, open_log
 from slamfusion.io.lines import strip_gz
+from slamfusion.io.log import odometry_path
 from slamfusion.jobs.compare import SIGNIFICANT
 from slamfusion.jobs.inputs import LogFiles
 from slamfusion.jobs.records import p_text
@@ -162,16 +163,15 @@ def repeated_runs(
 
 @dataclass(frozen=True, eq=False)
 class Drive:
-    """A drive in memory; ``odometry`` of the scans, or None if it is not needed."""
+    """A drive in memory."""
 
     name: str
     scans: tuple[LogScan, ...]
     ground_truth: GroundTruth
-    odometry: Trajectory | None = None
 
     def errors(self, path: Trajectory, config: RunConfig) -> dict[str, float]:
         """Return the errors of a path by name, as far as they can be measured."""
-        found = self.ground_truth.measure(path, config, self.odometry).figures()
+        found = self.ground_truth.measure(path, config).figures()
         return {name: found[name] for name in (RELATIONS, ATE) if name in found}
 
 
@@ -207,9 +207,11 @@ def read_drive(files: LogFiles, config: RunConfig) -> Drive:
     if not scans:
         reasons = "; ".join(log.skips.sentences())
         raise LogError(f"{files.log}: no scan of it can be used: {reasons}")
+    name = Path(strip_gz(path.name)).stem
     ground_truth = GroundTruth.read(config, files.relations, files.odometry, files.truth)
-    odometry = None if ground_truth.odometry is None else read_trajectory(path, config.log)
-    return Drive(Path(strip_gz(path.name)).stem, scans, ground_truth, odometry)
+    if ground_truth.odometry is not None:
+        ground_truth = replace(ground_truth, scans=odometry_path(scans, name))
+    return Drive(name, scans, ground_truth)
 
 
 def run_on_drives(

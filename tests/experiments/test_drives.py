@@ -49,8 +49,8 @@ def test_odometry_carries_poses_to_relations_between_the_scans() -> None:
     drive, whole = room(), room().ground_truth.truth
     assert whole is not None
     estimate = Trajectory(whole.stamps_s[::3], whole.poses[::3])
-    held = replace(drive.ground_truth, odometry=whole)
-    every_third = replace(drive, ground_truth=held, odometry=estimate)
+    held = replace(drive.ground_truth, odometry=whole, scans=estimate)
+    every_third = replace(drive, ground_truth=held)
     # The relation ends at the last scan of the whole drive, which the estimate does not have.
     assert whole.stamps_s[-1] not in estimate.stamps_s
     assert every_third.errors(estimate, CONFIG)[RELATIONS] == pytest.approx(0.0, abs=1e-9)
