@@ -347,13 +347,8 @@ def break_odometry(scans: Scans) -> tuple[LogScan, ...]:
 def lose(scans: Scans) -> tuple[LogScan, ...]:
     """Hang the laser upside down from half of the drive on, so that tracking is lost for good."""
     first = int(LOST_FROM * len(scans))
-    return (*scans[:first], *(_upside_down(item) for item in scans[first:]))
-
-
-def _upside_down(item: LogScan) -> LogScan:
-    scan = item.scan
-    first, step = -scan.angle_min_rad, -scan.angle_increment_rad
-    return replace(item, scan=replace(scan, angle_min_rad=first, angle_increment_rad=step))
+    lost = (replace(item, scan=item.scan.remounted("mirrored")) for item in scans[first:])
+    return (*scans[:first], *lost)
 
 
 FAULTS: dict[str, Callable[[Scans], tuple[LogScan, ...]]] = {
