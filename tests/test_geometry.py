@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from slamfusion.geometry import (
     Pose2,
     fit_motion,
+    quaternion_yaw_rad,
     transform_points,
     travelled,
     with_levers,
@@ -103,3 +104,25 @@ def test_a_pose_is_finite(bad: float) -> None:
     for values in ((bad, 0.0, 0.0), (0.0, bad, 0.0), (0.0, 0.0, bad)):
         with pytest.raises(ValueError, match="must be finite"):
             Pose2(*values)
+
+
+@pytest.mark.parametrize("length", [1.0, 0.5, 20.0])
+def test_the_heading_of_a_quaternion_does_not_depend_on_its_length(length: float) -> None:
+    quaternion = np.array((0.0, 0.0, math.sin(0.4), math.cos(0.4))) * length
+    assert quaternion_yaw_rad(*quaternion) == pytest.approx(0.8)
+
+
+def test_roll_does_not_change_the_heading() -> None:
+    # Yaw 0.8, then roll 0.3 about the turned x axis.
+    yaw, roll = 0.4, 0.15
+    quaternion = (
+        math.cos(yaw) * math.sin(roll),
+        math.sin(yaw) * math.sin(roll),
+        math.sin(yaw) * math.cos(roll),
+        math.cos(yaw) * math.cos(roll),
+    )
+    assert quaternion_yaw_rad(*quaternion) == pytest.approx(0.8)
+
+
+def test_the_quaternion_0_has_no_heading() -> None:
+    assert math.isnan(quaternion_yaw_rad(0.0, 0.0, 0.0, 0.0))

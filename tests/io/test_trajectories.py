@@ -1,4 +1,4 @@
-"""Claims about reading trajectories from whatever file holds them."""
+"""Claims about reading trajectories from whatever file holds them, and writing TUM files."""
 
 from __future__ import annotations
 
@@ -9,10 +9,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from slamfusion.config import LogConfig
 from slamfusion.errors import LogError, TrajectoryError
-from slamfusion.io import read_trajectory
+from slamfusion.geometry import wrap_angles
+from slamfusion.io import read_trajectory, write_tum
+from slamfusion.trajectory import Trajectory
 from tests.io.logs import flaser, robotlaser, write_lines
 from tests.support.datasets import DATASETS
 
@@ -196,3 +200,62 @@ def test_recorded_trajectories(
     if path_m is not None:
         assert found.path_length_m() == pytest.approx(path_m, abs=0.06)
     assert found.stamps_s[0] > 9e8
+
+
+# --- TUM files, with evo as the judge -------------------------------------------------------------
+
+TWO = Trajectory([1.5, 2.0], [(1.0, -2.0, math.pi / 2.0), (3.0, 4.0, -math.pi / 3.0)])
+
+
+def test_the_file_is_what_the_format_says(tmp_path: Path) -> None:
+    path = tmp_path / "a.tum"
+    write_tum(path, TWO)
+    heading, first, _ = path.read_text().splitlines()
+    assert heading == "# timestamp tx ty tz qx qy qz qw"
+    half = math.sqrt(0.5)
+    expected = [1.5, 1.0, -2.0, 0.0, 0.0, 0.0, half, half]
+    assert [float(item) for item in first.split()] == pytest.approx(expected, abs=1e-11)
+
+
+def test_evo_reads_what_we_write(tmp_path: Path) -> None:
+    file_interface = pytest.importorskip(
+        "evo.tools.file_interface", reason="evo is a test oracle that is not installed"
+    )
+    rng = np.random.default_rng(5)
+    poses = np.column_stack((rng.normal(size=(50, 2)) * 500.0, rng.uniform(-9.0, 9.0, 50)))
+    ours = Trajectory(1.2e9 + np.arange(50) * 0.1, poses)
+    path = tmp_path / "a.tum"
+    write_tum(path, ours)
+    theirs = file_interface.read_tum_trajectory_file(str(path))
+    np.testing.assert_allclose(theirs.timestamps, ours.stamps_s, atol=1e-6, rtol=0)
+    np.testing.assert_allclose(theirs.positions_xyz[:, :2], poses[:, :2], atol=1e-8)
+    yaws = theirs.get_orientations_euler()[:, 2]
+    np.testing.assert_allclose(wrap_angles(yaws - poses[:, 2]), 0.0, atol=1e-9)
+    assert theirs.check()[0]
+
+
+@settings(deadline=None)
+@given(
+    rows=st.lists(
+        st.tuples(
+            st.integers(0, 10**12), st.floats(-1e6, 1e6), st.floats(-1e6, 1e6), st.floats(-10, 10)
+        ),
+        min_size=1,
+        max_size=6,
+    ),
+    packed=st.booleans(),
+)
+def test_what_is_written_reads_back(
+    rows: list[tuple[int, float, float, float]],
+    packed: bool,
+    tmp_path_factory: pytest.TempPathFactory,
+) -> None:
+    table = np.array(sorted(rows), dtype=np.float64)
+    ours = Trajectory(table[:, 0] * 1e-3, table[:, 1:])
+    path = tmp_path_factory.mktemp("tum") / ("a.tum.gz" if packed else "a.txt")
+    write_tum(path, ours)
+    back = read_trajectory(path)
+    assert back.name == "a"
+    np.testing.assert_allclose(back.stamps_s, ours.stamps_s, atol=1e-6, rtol=0)
+    np.testing.assert_allclose(back.poses[:, :2], ours.poses[:, :2], atol=1e-8)
+    np.testing.assert_allclose(wrap_angles(back.poses[:, 2] - ours.poses[:, 2]), 0, atol=1e-9)
