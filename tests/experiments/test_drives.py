@@ -1,4 +1,4 @@
-"""Drives: what is measured of a run, and reading one from files."""
+"""Experiments on tinySLAM: what is measured of a drive, drives in files, and Table II of [H16]."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ from slamfusion.config import RunConfig, TrajectoryConfig
 from slamfusion.errors import LogError
 from slamfusion.evaluation.measured import GroundTruth
 from slamfusion.evaluation.relations import read_relations, relation_errors
-from slamfusion.experiments.tinyslam import ATE, RELATIONS, read_drive
+from slamfusion.experiments import tinyslam
+from slamfusion.experiments.tinyslam import ATE, RELATIONS, read_drive, table_two
 from slamfusion.io import read_trajectory, write_carmen, write_tum
 from slamfusion.jobs.inputs import LogFiles
 from slamfusion.trajectory import Trajectory
@@ -103,3 +104,19 @@ def test_odometry_and_reference_of_a_recorded_drive_have_their_known_errors() ->
     relations = read_relations(files.relations or Path())
     found = relation_errors(reference, relations, 0.01).translation
     assert found.mean == pytest.approx(0.0045, abs=5e-5)
+
+
+# --- Table II of [H16] ----------------------------------------------------------------------------
+
+
+def test_table_two_in_three_decimals() -> None:
+    found = table_two()
+    assert found.failure == ""
+    assert f"{found.summaries['mean']['forward, 9 occupied', 'value', 'base']:.3f}" == "0.460"
+
+
+def test_a_last_digit_off_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(tinyslam.PAPER, ("base", "forward"), (0.104, 0.225, 0.460))
+    failure = table_two().failure
+    assert failure.startswith("1 values differ from Table II of [H16]: base, forward, 3 occupied: ")
+    assert failure.endswith("found 0.105, wanted 0.104")
