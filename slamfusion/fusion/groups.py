@@ -5,22 +5,22 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import Executor
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
 from statistics import median
 
 import numpy as np
 
-from slamfusion.align.align import align_pair
+from slamfusion.align.align import THREADS, align_pair
 from slamfusion.align.features import GridFeatures
 from slamfusion.align.pair import Pair
 from slamfusion.align.records import Alignment
-from slamfusion.align.starts import StartPose, Starts, named_input
+from slamfusion.align.starts import Starts, named_input
 from slamfusion.config import SMALLEST, FusionConfig
 from slamfusion.errors import AlignmentError, ConfigError
+from slamfusion.fleet import tasks_ahead
 from slamfusion.fusion.grouping import Candidate, GroupSearch, MapGroup, placed, rank_pairs
-from slamfusion.fusion.pair_tasks import AlignmentTasks
 from slamfusion.geometry import F64, Pose2, wrap_angles
 from slamfusion.io.files import return_freed_memory
 
@@ -112,7 +112,7 @@ def align_group(
             search.align_all()
         found, pairs = search.run()
     finally:
-        aligner.tasks.close()
+        aligner.close()
     aligner.tell("vote", aligner.done)
     least = 1 if len(names) == 1 else LEAST_FUSED
     found = [group for group in found if len(group) >= least]
@@ -138,7 +138,12 @@ def align_group(
 
 
 class _Aligner:
-    """Aligns pairs of inputs, the larger known box to the smaller, and reports progress."""
+    """Aligns pairs of inputs, the larger known box to the smaller, and reports progress.
+
+    An executor does it, or two threads; each pair is aligned once. Which pair is next depends on
+    the results so far, but most pairs are predictable and started in advance. One that is never
+    requested costs time and changes nothing: an alignment depends on its two maps only.
+    """
 
     def __init__(
         self,
@@ -149,13 +154,19 @@ class _Aligner:
         starts: Starts,
         executor: Executor | None,
     ) -> None:
-        self.features = features
+        self.features, self.config = features, config.align
         self.count = count = math.comb(len(features), 2)
         self.progress, self.second_look, self.starts = progress, second_look, starts
         self.is_thorough, self.last = count <= THOROUGH_PAIRS, next(reversed(features), "")
         self.done, self.steps = 0, count if self.is_thorough else len(features) - 1
-        align = partial(align_pair, config=config.align, pairs=count, thorough=self.is_thorough)
-        self.tasks = AlignmentTasks(executor, align)
+        self.run = partial(align_pair, thorough=self.is_thorough)
+        self.is_here, self.executor = executor is None, executor or ThreadPoolExecutor(THREADS)
+        self.tasks: dict[tuple[str, str], Future[Alignment]] = {}
+
+    def close(self) -> None:
+        """End the own threads, and cancel what no one waits for."""
+        if self.is_here:
+            self.executor.shutdown(cancel_futures=True)
 
     def tell(self, what: str, done: int) -> None:
         """Report the stage and the number of alignments done."""
@@ -164,9 +175,9 @@ class _Aligner:
 
     def align(self, a: str, b: str) -> Alignment:
         """Align two inputs by name, and apply what else is known of them."""
-        pair, start = self._pair(a, b)
+        pair = self._pair(a, b)
         self.tell("aligning pairs", self.done)
-        found = self.tasks.result(pair, start)
+        found = self._task(pair).result()
         self.done += 1
         self.tell("aligning pairs", self.done)
         large = self.features[a]
@@ -177,15 +188,25 @@ class _Aligner:
 
     def ahead(self, coming: Iterable[tuple[str, str]]) -> None:
         """Start the first of the pairs that are likely to be requested next."""
-        for a, b in itertools.islice(coming, self.tasks.ahead):
-            self.tasks.begin(*self._pair(a, b))
+        most = THREADS if self.is_here else tasks_ahead(self.executor)
+        for a, b in itertools.islice(coming, most):
+            if sum(not task.done() for task in self.tasks.values()) < most:
+                self._task(self._pair(a, b))
 
-    def _pair(self, a: str, b: str) -> tuple[Pair, StartPose | None]:
-        """Return two inputs, the smaller one as the reference, and the start of the other."""
+    def _pair(self, a: str, b: str) -> Pair:
+        """Return two inputs, the smaller one as the reference."""
         pair = Pair(self.features[a], self.features[b])
         if math.prod(pair.reference.shape) > math.prod(pair.moving.shape):
             pair = Pair(pair.moving, pair.reference)
-        return pair, self.starts.between(pair.reference.grid.name, pair.moving.grid.name)
+        return pair
+
+    def _task(self, pair: Pair) -> Future[Alignment]:
+        """Return the task of a pair; start it if it was not started yet."""
+        names = pair.reference.grid.name, pair.moving.grid.name
+        if names not in self.tasks:
+            given = pair, self.config, self.starts.between(*names), self.count
+            self.tasks[names] = self.executor.submit(self.run, *given)
+        return self.tasks[names]
 
     def candidates(self) -> list[Candidate]:
         """Return the pairs that may be aligned, the most promising first; of few inputs all.

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import math
+import pickle
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from slamfusion.align.align import track_pair
+from slamfusion.align.align import align_pair, track_pair
 from slamfusion.align.pair import Pair
 from slamfusion.compute import ComputeDevice
 from slamfusion.fusion import align_grids
 from slamfusion.geometry import Pose2, wrap_angle
+from slamfusion.json_values import record_keys
 from tests.fusion.drawings import (
     assert_right,
     building,
@@ -210,3 +212,14 @@ def test_tracking_a_transform_that_is_wrong_is_rejected(device: ComputeDevice) -
     found = track_pair(Pair(a, b), Pose2(1.0, 2.0, 1.0))
     assert not found.accepted
     assert found.decision == "too little in common"
+
+
+def test_a_pair_travels_small_and_is_aligned_alike(device: ComputeDevice) -> None:
+    truth = building(3, 11.0, 9.0)
+    moving, _ = degraded(truth, 5, yaw_rad=0.8, flip_share=0.02)
+    pair = Pair(features_of(truth, device), features_of(moving, device))
+    wanted, packed = align_pair(pair, QUICK.align), pickle.dumps(pair)
+    assert len(packed) < 0.2 * 3 * sum(math.prod(features.shape) for features in pair)
+    found = align_pair(pickle.loads(packed), QUICK.align)  # noqa: S301 - our own
+    assert record_keys(found) == {**record_keys(wanted), "time_s": found.time_s}
+    assert np.array_equal(found.yaw_profile, wanted.yaw_profile)

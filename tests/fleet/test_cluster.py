@@ -24,7 +24,6 @@ from slamfusion.compute import ComputeDevice, open_device, shared_device
 from slamfusion.config import AlignConfig, FusionConfig, RunConfig, VoteConfig
 from slamfusion.errors import ConfigError, FleetError
 from slamfusion.fleet import THREAD_VARIABLES, as_done, executor_for, tasks_ahead
-from slamfusion.fusion.pair_tasks import AlignmentTasks
 from slamfusion.jobs.fuse import fuse_maps
 from slamfusion.json_values import record_keys
 from slamfusion.version import __version__
@@ -94,14 +93,12 @@ def test_a_killed_worker_costs_a_retry_and_not_a_byte(
     align = partial(align_pair, config=AlignConfig(), pairs=21, thorough=False)
     grids = [normalize_grid(grid, 0.05, CONFIG.fusion.normalize, device) for grid in SITE[:5]]
     features = [GridFeatures(grid, device) for grid in grids]
-    tasks = AlignmentTasks(cluster, align)
-    for moving in features[1:]:
-        tasks.begin(Pair(features[0], moving), None)
+    pairs = [Pair(features[0], moving) for moving in features[1:]]
+    tasks = [cluster.submit(align, pair) for pair in pairs]
     killed = cluster.submit(os.getpid).result()
     os.kill(killed, signal.SIGKILL)
-    for moving in features[1:]:
-        found = tasks.result(Pair(features[0], moving), None)
-        wanted = align(Pair(features[0], moving))
+    for pair, task in zip(pairs, tasks, strict=True):
+        found, wanted = task.result(), align(pair)
         assert record_keys(found) == {**record_keys(wanted), "time_s": found.time_s}
     # Kernels are built once a worker, whatever it was asked.
     asked = [cluster.submit(process_and_devices) for _ in range(8)]
