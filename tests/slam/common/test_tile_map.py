@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from slamfusion.compute import ComputeDevice, NumpyDevice, open_device
-from slamfusion.compute.cell_means import ScanRule
+from slamfusion.compute.cell_means import LikelihoodRule, ScanRule
 from slamfusion.compute.layout import BEAM_ONE, TILE, UNSEEN
 from slamfusion.config import CellModel
 from slamfusion.errors import MemoryBudgetError
@@ -105,3 +105,27 @@ def test_a_valley_slopes_to_both_sides_of_a_hit(device: ComputeDevice):
         assert row[20 + away] == pytest.approx(behind, abs=2e-3)
     assert row[3] == pytest.approx(free, abs=1e-3)
     assert max(col for col, _ in seen(tiles)) == 20  # the published map knows nothing behind
+
+
+def test_a_likelihood_spreads_around_a_hit_and_is_nothing_where_a_beam_passed(
+    device: ComputeDevice,
+):
+    """From the laser in column 26 to a hit in the middle of column 34 of row 9, over two pages."""
+    kinds = {"observed": (np.uint32, 0), "states": (np.uint32, 0), "field": (np.uint8, 20)}
+    tiles, ends = TileMap(device, kinds), np.array([(34.5, 9.5), (26.5, 9.5)])
+    tiles.cover(ends.min(axis=0) - 2.0, ends.max(axis=0) + 2.0)
+    # A square cell is 64 steps of the table.
+    rule = LikelihoodRule(np.arange(255, -1, -1).astype(np.uint8), shift=14, reach=1, most=64)
+    tiles.write(((ends - tiles.origin) * BEAM_ONE).astype(np.int32).reshape(1, 4), rule)
+    values = np.full((TILE, 2 * TILE), -1)
+    values[9, 26:33] = 0  # passed, the laser's cell too
+    values[8:11, 33:36] = 255 - 2 * 64
+    values[9, 33:36] = values[8:11, 34] = 255 - 64
+    values[9, 34] = 255
+    seen = values >= 0
+    for name, wanted in (
+        ("observed", 0 * values),
+        ("states", np.where(seen, values * 4112 << 12 | 1, 0)),
+        ("field", np.where(seen, values, 20)),
+    ):
+        np.testing.assert_array_equal(tiles.cells(name)[0], wanted)
