@@ -9,10 +9,9 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from slamfusion.compute import NumpyDevice
-from slamfusion.geometry import Pose2
+from slamfusion.geometry import F64, U8, Pose2
 from slamfusion.grid import IDENTITY
 from slamfusion.io import write_carmen, write_tum
 from slamfusion.io.log import LogScan
@@ -28,7 +27,7 @@ ONE_JUMP = [
 ]
 
 
-def draw_flat() -> npt.NDArray[np.uint8]:
+def draw_flat() -> U8:
     """Return (H, W) classes, 1 wall: an L of 8 m by 6 m with thick outer walls."""
     cells = np.ones((140, 180), dtype=np.uint8)
     cells[10:60, 10:170] = 0
@@ -39,6 +38,11 @@ def draw_flat() -> npt.NDArray[np.uint8]:
     return cells
 
 
+def smoothed(values: F64) -> F64:
+    """Return the mean of nine neighbours."""
+    return np.convolve(np.pad(values, 4, mode="edge"), np.ones(9) / 9.0, mode="valid")
+
+
 def true_poses(count: int) -> list[Pose2]:
     """A way along the long side and around the corner, 0.06 m a step at most."""
     marks = np.array([(1.2, 1.0), (5.5, 1.0), (7.5, 2.2), (5.0, 2.4), (2.2, 2.4), (1.2, 4.0)])
@@ -47,37 +51,73 @@ def true_poses(count: int) -> list[Pose2]:
     passed = np.concatenate(([0.0], np.cumsum(steps)))
     x, y = (np.interp(along, passed, marks[:, axis]) for axis in (0, 1))
     yaw = np.unwrap(np.arctan2(np.gradient(y), np.gradient(x))) if count > 1 else np.zeros(1)
-    smooth = np.convolve(np.pad(yaw, 4, mode="edge"), np.ones(9) / 9.0, mode="valid")
-    return [Pose2(*(float(v) for v in row)) for row in zip(x, y, smooth, strict=True)]
+    return [Pose2(*(float(v) for v in row)) for row in zip(x, y, smoothed(yaw), strict=True)]
 
 
-def scan_at(
-    pose: Pose2, stamp_s: float, *, mount: Pose2 | None = None, clockwise: bool = False
-) -> LaserScan:
-    """What a laser of 270 degrees reads there."""
-    return scans_at((pose,), (stamp_s,), mount or IDENTITY, clockwise)[0]
+def read(
+    cells: U8,
+    poses: Sequence[Pose2],
+    reach_m: float,
+    *,
+    noise_m: float = 0.01,
+    beams: int = 121,
+    mount: Pose2 = IDENTITY,
+    clockwise: bool = False,
+) -> list[LaserScan]:
+    """Return what a laser of 270 degrees reads in a place that is drawn in cells."""
+    first, step = math.radians(-135.0), math.radians(270.0) / (beams - 1)
+    if clockwise:
+        first, step = -first, -step
+    lasers = [pose.compose(mount) for pose in poses]
+    angles = np.concatenate([first + step * np.arange(beams) + laser.yaw_rad for laser in lasers])
+    places = np.repeat([[laser.x, laser.y] for laser in lasers], beams, axis=0) / CELL_M
+    rays = np.column_stack((places, np.cos(angles), np.sin(angles))).astype(np.float32)
+    ranges = NumpyDevice().cast_rays(cells, rays, reach_m / CELL_M)[:, 0] * CELL_M
+    noise = np.random.default_rng(0).normal(0.0, noise_m, ranges.shape)
+    ranges = np.where(ranges < reach_m - 1e-3, ranges + noise, ranges).reshape(-1, beams)
+    return [
+        LaserScan(0.1 * index, row, first, step, 0.02, reach_m, mount)
+        for index, row in enumerate(ranges)
+    ]
 
 
 @functools.cache
 def scans_at(
-    poses: tuple[Pose2, ...],
-    stamps_s: tuple[float, ...],
-    mount: Pose2 = IDENTITY,
-    clockwise: bool = False,
-) -> tuple[LaserScan, ...]:
-    """Return what it reads at several places; all their rays are cast at once."""
-    first, step = math.radians(-135.0), math.radians(270.0) / (BEAMS - 1)
-    if clockwise:
-        first, step = -first, -step
-    lasers = [pose.compose(mount) for pose in poses]
-    angles = np.concatenate([first + step * np.arange(BEAMS) + laser.yaw_rad for laser in lasers])
-    places = np.repeat([[laser.x, laser.y] for laser in lasers], BEAMS, axis=0) / CELL_M
-    rays = np.column_stack((places, np.cos(angles), np.sin(angles))).astype(np.float32)
-    ranges = NumpyDevice().cast_rays(draw_flat(), rays, REACH_M / CELL_M)[:, 0] * CELL_M
-    return tuple(
-        LaserScan(stamp_s, row, first, step, 0.02, REACH_M, mount)
-        for stamp_s, row in zip(stamps_s, ranges.reshape(-1, BEAMS), strict=True)
-    )
+    poses: tuple[Pose2, ...], mount: Pose2 | None = None, *, clockwise: bool = False
+) -> list[LaserScan]:
+    """Return what a laser reads in the flat, without noise."""
+    return read(
+        draw_flat(), poses, REACH_M, noise_m=0.0, beams=BEAMS, mount=mount or IDENTITY,
+        clockwise=clockwise,
+    )  # fmt: skip
+
+
+def scan_at(pose: Pose2, stamp_s: float) -> LaserScan:
+    """Return what it reads at one place."""
+    return replace(scans_at((pose,))[0], stamp_s=stamp_s)
+
+
+def log_of(
+    scans: Sequence[LaserScan],
+    truth: Sequence[Pose2],
+    start: Pose2 | None = None,
+    *,
+    turn_bias: float = 0.0,
+    longer: float = 1.0,
+) -> list[LogScan]:
+    """Return scans with an odometry that turns too much and goes too far with every step.
+
+    It begins at ``start``, by default at the true pose.
+    """
+    odometry, log = start or truth[0], []
+    for index, (scan, pose) in enumerate(zip(scans, truth, strict=True)):
+        if index:
+            step = truth[index - 1].inverse().compose(pose)
+            odometry = odometry.compose(
+                Pose2(longer * step.x, longer * step.y, step.yaw_rad + turn_bias)
+            )
+        log.append(LogScan(scan, odometry, index + 1))
+    return log
 
 
 def drive(
@@ -88,28 +128,12 @@ def drive(
     mount: Pose2 | None = None,
     clockwise: bool = False,
 ) -> tuple[list[LogScan], list[Pose2]]:
-    """Return scans with odometry, and the true poses in the odometry's frame.
-
-    Args:
-        count: scans.
-        start: the first odometry pose; default: the true one.
-        turn_bias: radians that odometry turns too much with every step.
-        mount: of the laser.
-        clockwise: direction of the beams.
-    """
+    """Return scans of the flat with odometry, see ``log_of``, and the true poses in its frame."""
     truth = true_poses(count)
-    begin = start or truth[0]
-    moved = begin.compose(truth[0].inverse())
-    odometry = begin
-    stamps_s = tuple(0.1 * index for index in range(count))
-    read = scans_at(tuple(truth), stamps_s, mount or IDENTITY, clockwise)
-    scans = []
-    for index, (pose, scan) in enumerate(zip(truth, read, strict=True)):
-        if index:
-            step = truth[index - 1].inverse().compose(pose)
-            odometry = odometry.compose(Pose2(step.x, step.y, step.yaw_rad + turn_bias))
-        scans.append(LogScan(scan, odometry, index + 1))
-    return scans, [moved.compose(pose) for pose in truth]
+    scans = scans_at(tuple(truth), mount, clockwise=clockwise)
+    moved = (start or truth[0]).compose(truth[0].inverse())
+    log = log_of(scans, truth, start, turn_bias=turn_bias)
+    return log, [moved.compose(pose) for pose in truth]
 
 
 def stalled(scans: Sequence[LogScan]) -> list[LogScan]:

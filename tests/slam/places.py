@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from slamfusion.compute import ComputeDevice, NumpyDevice
+from slamfusion.compute import ComputeDevice
 from slamfusion.config import GraphConfig
 from slamfusion.geometry import F64, U8, Pose2, row_of, wrap_angle
 from slamfusion.grid import OccupancyGrid
@@ -23,7 +23,7 @@ from slamfusion.slam.common.matcher import ScanOnTiles, information_of, response
 from slamfusion.slam.graph.slam import GraphSlam
 from slamfusion.slam.graph.submap import Submap
 from slamfusion.trajectory import Trajectory
-from tests.slam.drives import CELL_M
+from tests.slam.drives import CELL_M, log_of, read, smoothed
 
 S = TypeVar("S", bound=Mapper)
 NO_LASER = np.zeros(2)
@@ -108,46 +108,9 @@ def way_along(marks: list[tuple[float, float]], step_m: float = 0.2) -> list[Pos
     places = np.array(marks)
     passed = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(places, axis=0).T))))
     at = np.arange(0.0, passed[-1], step_m)
-    x, y = (
-        np.convolve(np.pad(values, 4, mode="edge"), np.ones(9) / 9.0, mode="valid")
-        for values in (np.interp(at, passed, places[:, axis]) for axis in (0, 1))
-    )
+    x, y = (smoothed(np.interp(at, passed, places[:, axis])) for axis in (0, 1))
     yaw = np.unwrap(np.arctan2(np.gradient(y), np.gradient(x)))
-    smooth = np.convolve(np.pad(yaw, 4, mode="edge"), np.ones(9) / 9.0, mode="valid")
-    return [Pose2(*(float(v) for v in row)) for row in zip(x, y, smooth, strict=True)]
-
-
-def read(
-    cells: U8, poses: list[Pose2], reach_m: float, *, noise_m: float = 0.01, beams: int = 121
-) -> list[LaserScan]:
-    """Return what a laser of 270 degrees reads in a place that is drawn in cells."""
-    step = math.radians(270.0) / (beams - 1)
-    angles = math.radians(-135.0) + step * np.arange(beams)
-    turned = np.concatenate([angles + pose.yaw_rad for pose in poses])
-    places = np.repeat([[pose.x, pose.y] for pose in poses], beams, axis=0) / CELL_M
-    rays = np.column_stack((places, np.cos(turned), np.sin(turned))).astype(np.float32)
-    ranges = NumpyDevice().cast_rays(cells, rays, reach_m / CELL_M)[:, 0] * CELL_M
-    noise = np.random.default_rng(0).normal(0.0, noise_m, ranges.shape)
-    ranges = np.where(ranges < reach_m - 1e-3, ranges + noise, ranges).reshape(-1, beams)
-    return [
-        LaserScan(0.1 * index, row, float(angles[0]), step, 0.02, reach_m)
-        for index, row in enumerate(ranges)
-    ]
-
-
-def log_of(
-    scans: list[LaserScan], truth: list[Pose2], *, turn_bias: float = 0.0, longer: float = 1.0
-) -> list[LogScan]:
-    """Return scans with an odometry that turns too much and goes too far with every step."""
-    odometry, log = truth[0], []
-    for index, (scan, pose) in enumerate(zip(scans, truth, strict=True)):
-        if index:
-            step = truth[index - 1].inverse().compose(pose)
-            odometry = odometry.compose(
-                Pose2(longer * step.x, longer * step.y, step.yaw_rad + turn_bias)
-            )
-        log.append(LogScan(scan, odometry, index + 1))
-    return log
+    return [Pose2(*(float(v) for v in row)) for row in zip(x, y, smoothed(yaw), strict=True)]
 
 
 def odometry_error(log: list[LogScan], truth: list[Pose2]) -> float:
