@@ -330,13 +330,11 @@ class Descent:
 
     Attributes:
         poses: (N, 3) at the end.
-        costs: sums of squares at the start and after each accepted step; never rising.
         iterations: steps solved for, kept or not.
         is_converged: it ended because another step would change next to nothing.
     """
 
     poses: F64
-    costs: tuple[float, ...]
     iterations: int
     is_converged: bool
 
@@ -381,7 +379,7 @@ def descend(  # noqa: C901 - the method, from top to bottom
     def cost_at(poses: F64) -> float:
         return float(measured.squared_errors(poses).sum())
 
-    best, costs = poses, [cost_at(poses)]
+    best, least_cost = poses, cost_at(poses)
     # Steps since ``best``, each of which increased the cost.
     damping, risen, patience = 0.0, 0, PATIENCE
     for iteration in range(1, max_iterations + 1):
@@ -392,19 +390,18 @@ def descend(  # noqa: C901 - the method, from top to bottom
             step, promised = np.full_like(poses, np.nan), np.inf
         yield
         cost = cost_at(poses + step)
-        is_small = promised <= tolerance * costs[-1] + NEGLIGIBLE
-        if cost <= costs[-1]:
+        is_small = promised <= tolerance * least_cost + NEGLIGIBLE
+        if cost <= least_cost:
             best = poses = poses + step
-            costs.append(cost)
-            risen = 0
+            least_cost, risen = cost, 0
             if damping == 0.0:
                 if is_small:
-                    return Descent(best, tuple(costs), iteration, is_converged=True)
+                    return Descent(best, iteration, is_converged=True)
                 patience = PATIENCE
             damping = 0.1 * damping if damping > FIRST_DAMPING else 0.0
         elif risen == 0 and (is_small or damping > LARGEST_DAMPING):
             # Only rounding is left, or no step leads down.
-            return Descent(best, tuple(costs), iteration, is_converged=is_small)
+            return Descent(best, iteration, is_converged=is_small)
         elif damping == 0.0 and risen < patience and np.isfinite(cost):
             poses, risen = poses + step, risen + 1
         elif risen > 0:
@@ -412,9 +409,9 @@ def descend(  # noqa: C901 - the method, from top to bottom
         else:
             shorter = [cost_at(poses + share * step) for share in SHARES]
             least = int(np.argmin(shorter))
-            if shorter[least] <= costs[-1]:
+            if shorter[least] <= least_cost:
                 best = poses = poses + SHARES[least] * step
-                costs.append(shorter[least])
+                least_cost = shorter[least]
             else:
                 damping = max(10.0 * damping, FIRST_DAMPING)
-    return Descent(best, tuple(costs), max_iterations, is_converged=False)
+    return Descent(best, max_iterations, is_converged=False)

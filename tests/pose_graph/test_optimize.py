@@ -77,15 +77,17 @@ def test_chi2_never_rises_over_the_kept_steps(seed: int, astray: float) -> None:
     start = graph.poses + astray * rng.normal(size=graph.poses.shape)
     measured = Measurements(graph.edges, graph.motions, graph.information)
     equations = NormalEquations(measured, len(graph), (0,))
-    found = at_once(descend)(equations, start)
-    assert (np.diff(found.costs) <= 0.0).all()
-    assert found.costs[0] == pytest.approx(measured.squared_errors(start).sum())
-    assert found.costs[-1] == pytest.approx(measured.squared_errors(found.poses).sum())
-    assert found.iterations <= 100
+    cost = measured.squared_errors(start).sum()
+    for most in range(1, 101):
+        found = at_once(descend)(equations, start, max_iterations=most)
+        before, cost = cost, measured.squared_errors(found.poses).sum()
+        assert cost <= before
+        if found.iterations < most:
+            break
     if found.is_converged:
         equations.linearise(found.poses)
         _, promised = equations.step()
-        assert promised <= 1e-3 * found.costs[-1] + 1e-9
+        assert promised <= 1e-3 * cost + 1e-9
 
 
 def test_the_least_is_one_from_everywhere_near() -> None:
