@@ -128,7 +128,7 @@ class InputRecord:
 
 @dataclass(frozen=True, kw_only=True)
 class Fusion:
-    """The outcome for the inputs of a fusion.
+    """The outcome for the inputs of a fusion, whose map may be in a store.
 
     Attributes:
         reference: name of the reference input, whose frame and lattice the fused map has.
@@ -142,18 +142,21 @@ class Fusion:
         time_s: wall time of the whole fusion.
         left_out_m2: area that inputs know outside of the box that the fused map was cut to, square
             metres, by name; empty where nothing was cut.
+        others: fusions of further groups of inputs, which share nothing that could be found with
+            those of this one; the larger first. Their inputs are the members of the group.
     """
 
     reference: str
     inputs: tuple[InputRecord, ...]
-    pairs: tuple[Alignment, ...]
+    pairs: tuple[Alignment, ...] = ()
     phantom_cells: int
     weights: dict[str, float]
     wall_agreement: dict[str, float] = field(default_factory=dict)
     bent: dict[str, Bent] = field(default_factory=dict)
     device: str
-    time_s: float
+    time_s: float = 0.0
     left_out_m2: Mapping[str, float] = field(default_factory=dict)
+    others: tuple[Fusion, ...] = ()
 
     @property
     def accepted(self) -> tuple[InputRecord, ...]:
@@ -206,26 +209,8 @@ class FusionResult(Fusion):
     Attributes:
         fused: cells in {-1, 0, 100}; frame and lattice of the reference.
         agreement: cells 0..100 or -1 on the same lattice.
-        others: fusions of further groups of inputs, which share nothing that could be found with
-            those of this one; the larger first. Their inputs are the members of the group.
     """
 
     fused: OccupancyGrid
     agreement: OccupancyGrid
     others: tuple[FusionResult, ...] = ()
-
-
-@dataclass(frozen=True, kw_only=True)
-class StoredFusion(Fusion):
-    """A fused map in a store, and everything that is known of it without reading it again.
-
-    Attributes:
-        shape: rows and columns of the fused map.
-        resolution: metres a cell.
-        origin: pose of the lower-left corner of its first cell; the frame is the reference's.
-    """
-
-    shape: tuple[int, int]
-    resolution: float
-    origin: Pose2
-    others: tuple[StoredFusion, ...] = ()

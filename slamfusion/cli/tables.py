@@ -15,7 +15,7 @@ from slamfusion.cli.output import is_verbose, notice, print_table, say, wrapped
 from slamfusion.jobs.records import number
 
 if TYPE_CHECKING:
-    from slamfusion.align.records import Alignment, Fusion, FusionResult, InputRecord, StoredFusion
+    from slamfusion.align.records import Alignment, Fusion, InputRecord
     from slamfusion.evidence.recommendation import Recommendation
     from slamfusion.trajectory import Trajectory
 
@@ -33,9 +33,7 @@ PAIR_COLUMNS = (
 
 
 def print_fusion(
-    result: FusionResult | StoredFusion,
-    doubled: jobs.fuse_documents.DoubledWalls | None,
-    wanted: str | None,
+    result: Fusion, doubled: jobs.fuse_documents.DoubledWalls | None, wanted: str | None
 ) -> None:
     """Print the pose of each input, their number and the frame; verbose: reasons and starts."""
     print_table(
@@ -85,7 +83,7 @@ def _transform_words(pair: Alignment) -> str:
     )
 
 
-def tell_left_out(result: FusionResult | StoredFusion) -> None:
+def tell_left_out(result: Fusion) -> None:
     """Name on stderr the inputs without a vote, bent ones, and what the map was cut off from."""
     for sentence in jobs.fuse_documents.left_out_sentences(result):
         notice(sentence)

@@ -205,13 +205,11 @@ class LatticeVote:
         return {
             "reference": self.group.reference,
             "inputs": inputs,
-            "pairs": (),
             "phantom_cells": phantom_cells,
             "weights": self.voter.weights,
             "wall_agreement": self.voter.wall_agreement,
             "bent": bent_maps(trust, worst, self.lattice),
             "device": device.name,
-            "time_s": 0.0,
             "left_out_m2": {name: area for name, area in left_out.items() if area > 0.0},
         }
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from slamfusion.align.records import Alignment, FusionResult, InputRecord, StoredFusion
+from slamfusion.align.records import Alignment, Fusion, FusionResult, InputRecord
 from slamfusion.align.starts import Starts, place_starts
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
@@ -76,7 +76,7 @@ class FusedMaps:
     """
 
     config: RunConfig
-    result: FusionResult | StoredFusion
+    result: Fusion
     doubled: DoubledWalls | None
     evaluations: tuple[Evaluation, ...] = ()
     given: inputs.GivenMaps = inputs.NO_FILES
@@ -227,7 +227,7 @@ def _fuse_into(
     )
     others = {**aligned.others, **contradicting(grids, aligned.groups[0], votes[0], votes[1:])}
     stores, task = group_stores(store, len(votes)), partial(decide_tile, device=device)
-    results: list[StoredFusion] = []
+    results: list[Fusion] = []
     # Each store is put in place when all are written.
     with ExitStack() as open_stores:
         for vote, path in zip(votes, stores, strict=True):
@@ -247,10 +247,10 @@ def _fuse_into(
                     worst.append(decided.worst)
             records = vote.records(grids, {} if results else others)
             outcome = vote.outcome(records, phantom_cells, worst, fusion, device)
-            results.append(StoredFusion(**outcome, shape=shape, resolution=size, origin=origin))
+            results.append(Fusion(**outcome))
     stems = tuple(
-        path.with_suffix("") if result.shape[0] * result.shape[1] <= FILES_CELLS else None
-        for result, path in zip(results, stores, strict=True)
+        path.with_suffix("") if vote.voter.whole.area <= FILES_CELLS else None
+        for vote, path in zip(votes, stores, strict=True)
     )
     for path, stem in zip(stores, stems, strict=True):
         if stem is not None:

@@ -6,14 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from slamfusion.align.records import (
-    Alignment,
-    Bent,
-    Fusion,
-    FusionResult,
-    InputRecord,
-    StoredFusion,
-)
+from slamfusion.align.records import Alignment, Bent, Fusion, FusionResult, InputRecord
 from slamfusion.config import RunConfig
 from slamfusion.errors import AlignmentError
 from slamfusion.evaluation.doubled_walls import doubled_wall_share, fused_doubled_shares
@@ -128,7 +121,7 @@ class FusionRecord:
     """Inputs that are the same map as another, by name, and which of them votes for both."""
 
     @classmethod
-    def of(cls, result: FusionResult | StoredFusion, doubled: DoubledWalls | None) -> FusionRecord:
+    def of(cls, result: Fusion, doubled: DoubledWalls | None) -> FusionRecord:
         """Describe a fusion; with doubled walls where they were measured."""
         copies = {record.name: record.copy_of for record in result.copies}
         return cls(
@@ -228,7 +221,7 @@ def agreement_stem(stem: Path) -> Path:
 
 
 def fusion_sentences(
-    result: FusionResult | StoredFusion, doubled: DoubledWalls | None, wanted: str | None
+    result: Fusion, doubled: DoubledWalls | None, wanted: str | None
 ) -> tuple[str, str]:
     """Say how many inputs were fused in whose frame; and what the vote added."""
     names = [record.name for record in result.inputs]
@@ -248,7 +241,7 @@ def fusion_sentences(
     return text, f"The vote: {cells}, {share}{result.time_s:.1f} s."
 
 
-def left_out_sentences(result: FusionResult | StoredFusion) -> list[str]:
+def left_out_sentences(result: Fusion) -> list[str]:
     """Name the inputs without a vote, doubtful or bent, and what the fused map was cut off from."""
     rejected = [f"rejected: {record.name}: {record.reason}" for record in result.rejected]
     copies = [
