@@ -14,13 +14,12 @@ from slamfusion.cli.help import Command
 from slamfusion.cli.paths import CASE_MAP, case_folders
 from slamfusion.config import RunConfig
 from slamfusion.jobs.cases import CaseFile, case_names, place_files
-from slamfusion.jobs.inputs import PixelSizes, device_for, distinct_names, load_maps, map_file
+from slamfusion.jobs.inputs import PixelSizes, distinct_names, map_file
 from slamfusion.jobs.outputs import PAGE
-from slamfusion.jobs.records import Settings, number
+from slamfusion.jobs.records import number
 
 if TYPE_CHECKING:
     from slamfusion.evaluation.distances import DistanceComparison
-    from slamfusion.grid import OccupancyGrid
 
 
 def _image_files(image: Path, given: Mapping[str, Any]) -> list[Path]:
@@ -41,7 +40,6 @@ def _image_files(image: Path, given: Mapping[str, Any]) -> list[Path]:
     examples=[
         "evaluate out/*.yaml --truth truth.yaml",
         "evaluate map.yaml --distances measured.csv",
-        "evaluate a.yaml b.yaml c.yaml            (compares them with each other)",
     ],
 )
 @click.argument("maps", metavar="MAP...", nargs=-1, required=True, type=CASE_MAP)
@@ -85,29 +83,22 @@ def command(
 ) -> None:
     """Measure the errors of maps.
 
-    Each MAP is compared with the true map, or with measured distances. Without both, the maps are
-    compared with each other.
+    Each MAP is compared with the true map, or with measured distances. Without both, `slamfusion
+    fuse` compares maps with each other.
 
     With several truths, a map belongs to the truth whose name is a word of its file name or
     folder: graph/office.yaml and office_graph.yaml belong to office.yaml. CASE=MAP overrides that.
     One table then shows all maps and the mean of each method. Each truth gets its own report.
     """
-    is_mutual = not truths and distances_path is None
-    is_saved = output.settings().results_path is not None
     options.refuse(
-        is_mutual and len(maps) < 2,
-        "give --truth MAP, --distances FILE, or more maps to compare with each other",
+        not truths and distances_path is None,
+        "give --truth MAP or --distances FILE; without both, fuse compares maps with each other",
     )
-    options.refuse(is_mutual and is_saved, "--save-results needs --truth MAP or --distances FILE")
     is_drawn = report_dir is not None or image_path is not None
     options.refuse(is_drawn and not truths, "--report and --image need --truth MAP")
     message = "--scale searches where the maps lie on the plan; leave --no-align out"
     options.refuse(scale is not None and not align, message)
     paths = [item.path for item in maps]
-    if is_mutual:
-        grids = load_maps(paths, config, resolution=resolution, warn=output.notice)
-        _compare(grids, config)
-        return
     with output.progress_bar() as progress:
         found = jobs.evaluate.evaluate_cases(
             maps, truths, config, distances=distances_path,
@@ -134,38 +125,6 @@ def command(
     pages = [] if report_dir is None else [own / PAGE for own in case_folders(report_dir, truths)]
     output.print_facts(
         *(("report", page) for page in pages), *(("image", image) for image in images)
-    )
-
-
-def _compare(grids: Sequence[OccupancyGrid], config: RunConfig) -> None:
-    device = device_for(config)
-    with output.progress_bar() as progress:
-        result = jobs.evaluate.compare_maps(grids, config, device, progress=progress)
-    tables.tell_left_out(result)
-    items = jobs.evaluate.agreement_items(result)
-    document = jobs.evaluate.EvaluatedMaps(
-        agreement=items, device=device.name, seed=config.seed, settings=Settings(config)
-    )
-    if output.print_if_json(document):
-        return
-    rows, notes = [], []
-    for record, item in zip(result.inputs, items, strict=True):
-        share, bent = item.agreement, item.bent
-        rows.append(
-            [
-                record.name,
-                number(None if share is None else 100.0 * share, 1),
-                output.NOTHING if share is None else "no" if bent is None else "BENT",
-                number(None if bent is None else bent.x, 1),
-                number(None if bent is None else bent.y, 1),
-            ]
-        )
-        notes.append("" if record.accepted and not output.is_verbose() else record.reason)
-    output.print_table(
-        ("map ", "walls that agree [%]", "bent ", "worst at x [m]", "y [m]"),
-        rows,
-        notes=notes,
-        title=f"Agreement of the maps with each other, in the frame of {result.reference}",
     )
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from slamfusion.align.align import align_each
-from slamfusion.align.records import Alignment, FusionResult
+from slamfusion.align.records import Alignment
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
 from slamfusion.evaluation.distances import (
@@ -18,13 +18,12 @@ from slamfusion.evaluation.distances import (
 )
 from slamfusion.evaluation.map_error import compare_to_truth
 from slamfusion.evaluation.measured import Row, map_figures, result_rows
-from slamfusion.fusion import fuse_grids
 from slamfusion.geometry import Pose2
 from slamfusion.io import AtomicFiles, write_atomic
 from slamfusion.jobs import inputs
 from slamfusion.jobs.align import AlignedPlan, align_plan
 from slamfusion.jobs.cases import CaseFile, Placed, case_names, place_files
-from slamfusion.jobs.fuse_documents import Evaluation, FusedInput
+from slamfusion.jobs.fuse_documents import Evaluation
 from slamfusion.jobs.records import Settings, Summaries
 from slamfusion.json_values import FLAT
 
@@ -39,7 +38,7 @@ class EvaluatedMap:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class EvaluatedMaps:
-    """``slamfusion evaluate``: maps against the truths of their cases, distances, or each other."""
+    """``slamfusion evaluate``: maps against the truths of their cases, or distances."""
 
     files: Sequence[CaseFile] = field(default=(), repr=False)
     """The maps' files, as they were given."""
@@ -48,8 +47,6 @@ class EvaluatedMaps:
     summaries: Summaries | None = field(default=None, metadata=FLAT)
     distances: Sequence[DistanceComparison] = ()
     """The maps against measured distances; empty without --distances."""
-    agreement: Sequence[FusedInput] = ()
-    """The maps against each other; empty with --truth or --distances."""
     truth: Path | None = None
     """The true map's file; null without --truth and with several."""
     truths: Mapping[str, Path] = field(default_factory=dict)
@@ -158,30 +155,6 @@ def evaluate_maps(
         evaluations.append(Evaluation(**vars(error), aligned=aligned, alignment=alignment))
     tell("evaluate", len(grids), len(grids))
     return tuple(evaluations)
-
-
-def compare_maps(
-    maps: Sequence[inputs.MapInput],
-    config: RunConfig | None = None,
-    device: ComputeDevice | None = None,
-    progress: inputs.Progress | None = None,
-) -> FusionResult:
-    """Compare maps of one place by ``wall_agreement`` and ``bent`` of a ``consensus`` fusion.
-
-    Raises:
-        AlignmentError: no two of them fit.
-        MapFileError: a map cannot be read.
-    """
-    config = config or RunConfig()
-    grids = inputs.load_maps(maps, config)
-    fusion = replace(config.fusion, vote=replace(config.fusion.vote, mode="consensus"))
-    return fuse_grids(grids, fusion, inputs.device_for(config, device), progress)
-
-
-def agreement_items(result: FusionResult) -> list[FusedInput]:
-    """Return how each map agrees with the others of its group, in the order given."""
-    groups = {name: group for group in (*result.others, result) for name in group.weights}
-    return [FusedInput.of(item, groups.get(item.name, result)) for item in result.inputs]
 
 
 def measure_distances(

@@ -90,7 +90,7 @@ def test_the_list_of_commands_says_what_their_help_says() -> None:
         ("fuse a b -o x --scheduler local --processes 2", "give one of them"),
         ("evaluate a.yaml --truth b.yaml --table x.xlsx", "x.xlsx: wanted a name that ends in"),
         ("evaluate a.yaml --truth b.yaml --table x.csv --json", "--table and --json exclude each"),
-        ("evaluate a.yaml", "give --truth MAP, --distances FILE, or more maps"),
+        ("evaluate a.yaml b.yaml", "give --truth MAP or --distances FILE; without both, fuse"),
         ("slam graph d.log -o map --resolution 0", "must lie in"),
         ("slam graph d.log -o map --odometry d.log", "needs --relations FILE"),
         ("run d.log -o out --odometry d.log", "needs --relations FILE"),

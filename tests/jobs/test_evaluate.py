@@ -16,8 +16,6 @@ from slamfusion.jobs.cases import CaseFile, Placed
 from slamfusion.jobs.evaluate import (
     EvaluatedMap,
     EvaluatedMaps,
-    agreement_items,
-    compare_maps,
     difference_images,
     evaluate_cases,
     evaluate_maps,
@@ -29,7 +27,6 @@ from slamfusion.json_values import plain
 from tests.fusion.drawings import fusion_config
 from tests.jobs.maps import CONFIG, device, files, moved
 from tests.support.documents import check_document
-from tests.vote.rooms import bent
 
 
 def test_maps_are_measured_where_they_lie_or_aligned(tmp_path: Path) -> None:
@@ -98,21 +95,3 @@ def test_measured_distances_are_compared(tmp_path: Path) -> None:
     assert (value, cases.rows()) == (pytest.approx(0.1), [])
     with pytest.raises(FileNotFoundError, match="absent"):
         measure_distances([corridor], tmp_path / "absent.csv")
-
-
-def test_without_a_truth_maps_are_compared_with_each_other() -> None:
-    truth, grid, _ = moved()
-    cells = np.where(truth.cells == OCCUPIED, 1, truth.cells).astype(np.int8)
-    crooked = np.where(bent(cells, 0.15) == 1, OCCUPIED, bent(cells, 0.15)).astype(np.int8)
-    maps = [replace(truth, cells=crooked, name="crooked"), truth.with_name("a"), grid]
-    result = compare_maps(maps, CONFIG, device())
-    items = agreement_items(result)
-    found = dict(zip([item.name for item in result.inputs], items, strict=True))
-    assert list(found) == ["crooked", "a", grid.name]
-    assert (found["crooked"].agreement or 0.0) < 0.85
-    assert found["crooked"].weight < 0.3
-    for name in ("a", grid.name):
-        assert found[name].bent is None
-        assert found[name].weight > 0.8
-    document = EvaluatedMaps(agreement=items, device="numpy", seed=0, settings=Settings(CONFIG))
-    check_document(plain(document), "evaluate")
