@@ -12,6 +12,7 @@ from slamfusion.cli.help import Command
 from slamfusion.cli.output import NOTHING, notice, print_facts, print_if_json, print_table
 from slamfusion.cli.paths import FILE
 from slamfusion.cli.results import print_by_case, table_option
+from slamfusion.config import PICTURE_FORMS
 from slamfusion.jobs.records import number, p_text
 
 # Of a table: figures of several sizes.
@@ -26,8 +27,13 @@ LEADING = ("error", "wall_f1", "ate_rmse_m", "relations_mean_m", "consistency")
     examples=["compare graph.zip gmapping.zip", "compare all.zip --plot errors.pdf"],
 )
 @click.argument("files", metavar="A.zip [B.zip...]", nargs=-1, required=True, type=FILE)
-@options.picture(
-    "--plot", "plot_path", "Draw the errors along the paths and by case: .png, .svg or .pdf."
+@options.output(
+    "--plot",
+    "plot_path",
+    ends=[f".{form}" for form in PICTURE_FORMS],
+    needs=options.REPORT,
+    metavar="FILE",
+    help="Draw the errors along the paths and by case: .png, .svg or .pdf.",
 )
 @options.common
 @table_option

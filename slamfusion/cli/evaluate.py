@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -13,25 +13,12 @@ from slamfusion.cli import options, output, results, tables
 from slamfusion.cli.help import Command
 from slamfusion.cli.paths import CASE_MAP, case_folders
 from slamfusion.config import RunConfig
-from slamfusion.jobs.cases import CaseFile, case_names, place_files
-from slamfusion.jobs.inputs import PixelSizes, distinct_names, map_file
-from slamfusion.jobs.outputs import PAGE
+from slamfusion.jobs.cases import CaseFile
+from slamfusion.jobs.inputs import PixelSizes
 from slamfusion.jobs.records import number
 
 if TYPE_CHECKING:
     from slamfusion.evaluation.distances import DistanceComparison
-
-
-def _image_files(image: Path, given: Mapping[str, Any]) -> list[Path]:
-    """Return the difference images that may be written: of several maps with their names."""
-    maps, truths = given["maps"], given["truths"]
-    if len(truths) > 1:
-        placed = place_files(case_names(truths), maps)
-        return jobs.evaluate.difference_images(
-            image, [f"{item.case}_{item.name}" for item in placed]
-        )
-    names = distinct_names([map_file(item.path) for item in maps])
-    return [image] if len(maps) == 1 else jobs.evaluate.difference_images(image, names)
 
 
 @click.command(
@@ -57,12 +44,6 @@ def _image_files(image: Path, given: Mapping[str, Any]) -> list[Path]:
     "Distances measured in the building (CSV or YAML), to compare with the map.",
 )
 @options.report("report_dir", lambda folder, given: case_folders(folder, given["truths"]))
-@options.picture(
-    "--image",
-    "image_path",
-    "Write an image of the differences. Several maps add their names.",
-    files=_image_files,
-)
 @options.resolution
 @options.settings(
     "fusion.normalize", "fusion.align", "map_files", "evaluate", "report", "device", ""
@@ -78,7 +59,6 @@ def command(
     scale: PixelSizes | None,
     distances_path: Path | None,
     report_dir: Path | None,
-    image_path: Path | None,
     resolution: float | None,
 ) -> None:
     """Measure the errors of maps.
@@ -94,8 +74,7 @@ def command(
         not truths and distances_path is None,
         "give --truth MAP or --distances FILE; without both, fuse compares maps with each other",
     )
-    is_drawn = report_dir is not None or image_path is not None
-    options.refuse(is_drawn and not truths, "--report and --image need --truth MAP")
+    options.refuse(report_dir and not truths, "--report needs --truth MAP")
     message = "--scale searches where the maps lie on the plan; leave --no-align out"
     options.refuse(scale is not None and not align, message)
     paths = [item.path for item in maps]
@@ -104,9 +83,7 @@ def command(
             maps, truths, config, distances=distances_path,
             align=align, scale=scale, resolution=resolution, progress=progress, warn=output.notice,
         )  # fmt: skip
-    given = {"maps": maps, "truths": truths}
-    images = [] if image_path is None else _image_files(image_path, given)
-    found.write(report_dir, images)
+    pages = [] if report_dir is None else found.write(report_dir)
     evaluations = [item.evaluation for item in found.maps]
     tables.tell_unaligned(evaluations)
     rows = found.rows()
@@ -122,10 +99,7 @@ def command(
         results.print_repetitions(rows, "map")
     for comparison in found.distances:
         _print_distances(comparison)
-    pages = [] if report_dir is None else [own / PAGE for own in case_folders(report_dir, truths)]
-    output.print_facts(
-        *(("report", page) for page in pages), *(("image", image) for image in images)
-    )
+    output.print_facts(*(("report", page) for page in pages))
 
 
 def _inputs(

@@ -21,7 +21,7 @@ GROUPS: Mapping[str, Sequence[str]] = {
         *("map_files", "simulate", "graph_optimizer"),
     ),
     "Output": (
-        *("--output", "--report", "--image", "--table", "--save-results", "--probabilities"),
+        *("--output", "--report", "--table", "--save-results", "--probabilities"),
         *("--open", "--plot", "--tum", "--fused", "--format", "--json", "--verbose", "--debug"),
         "report",
     ),
@@ -42,8 +42,7 @@ BASIC = frozenset({
     "--output", "--inputs", "--paths", "--log", "--datasets", "--truth", "--truth-trajectory",
     "--truth-map", "--relations", "--align", "--distances", "--fused", "--start", "--producers",
     "--mode", "--reference", "--require-all", "--like-paper", "--scan-topic", "--odom-topic",
-    "--scale", "--alignment", "--rpe-unit", "--rpe-delta", "--particles", "--report", "--image",
-    "--table",
+    "--scale", "--alignment", "--rpe-unit", "--rpe-delta", "--particles", "--report", "--table",
     "--save-results", "--json", "--verbose", "--config", "--seed", "--seeds", "--device",
     "--help", "--help-all", "--repetitions", "--format", "--open", "--worlds", "--courses",
     "--lidars", "--resume", "--save-state",

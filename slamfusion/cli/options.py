@@ -17,7 +17,6 @@ from slamfusion.cli import paths
 from slamfusion.cli.help import Choice, Number, Setting
 from slamfusion.cli.output import Settings
 from slamfusion.config import (
-    PICTURE_FORMS,
     START_M,
     START_RAD,
     ConfigOption,
@@ -104,12 +103,6 @@ def main_output(parameter: str, metavar: str, text: str, files: paths.Files) -> 
     return output(
         "-o", "--output", parameter, files=files, required=True, metavar=metavar, help=text
     )
-
-
-def picture(name: str, parameter: str, text: str, **more: Any) -> Callable[[F], F]:
-    """Return the option of a command that can draw into a file of one of the picture's forms."""
-    ends = [f".{form}" for form in PICTURE_FORMS]
-    return output(name, parameter, ends=ends, needs=REPORT, metavar="FILE", help=text, **more)
 
 
 def case(

@@ -19,7 +19,7 @@ from slamfusion.evaluation.distances import (
 from slamfusion.evaluation.map_error import compare_to_truth
 from slamfusion.evaluation.measured import Row, map_figures, result_rows
 from slamfusion.geometry import Pose2
-from slamfusion.io import AtomicFiles, write_atomic
+from slamfusion.io import AtomicFiles
 from slamfusion.jobs import inputs
 from slamfusion.jobs.align import AlignedPlan, align_plan
 from slamfusion.jobs.cases import CaseFile, Placed, case_names, place_files
@@ -79,19 +79,20 @@ class EvaluatedMaps:
             )
         ]
 
-    def write(self, report: Path | None, images: Sequence[Path]) -> None:
-        """Write reports and pictures; of several cases a report each. See ``write_evaluation``."""
+    def write(self, report: Path) -> list[Path]:
+        """Write a report of the maps of each case, all or none, and return the pages."""
+        config, device = self.settings.config, self.device or ""
+        own: dict[str, list[Evaluation]] = {}
+        for item in self.maps:
+            own.setdefault(item.placed.case, []).append(item.evaluation)
         with AtomicFiles():
-            for case in self.truths:
-                own = [row for row, item in enumerate(self.maps) if item.placed.case == case]
-                if own:
-                    write_evaluation(
-                        [self.maps[row].evaluation for row in own],
-                        self.settings.config,
-                        device=self.device or "",
-                        report=report / case if report and len(self.truths) > 1 else report,
-                        images=[images[row] for row in own] if images else [],
-                    )
+            return [
+                write_evaluation(
+                    own[case], report if len(self.truths) == 1 else report / case, config, device
+                )
+                for case in self.truths
+                if case in own
+            ]
 
 
 def evaluate_maps(
@@ -242,37 +243,17 @@ def evaluate_cases(
 
 def write_evaluation(
     evaluations: Sequence[Evaluation],
-    config: RunConfig,
-    *,
+    directory: str | Path,
+    config: RunConfig | None = None,
     device: str = "",
-    report: Path | None = None,
-    images: Sequence[Path] = (),
-) -> None:
-    """Write the report and the difference images that are asked for, all of them or none.
+) -> Path:
+    """Write the report of the differences of maps to one truth; rejected ones are at the top.
 
-    Args:
-        report: folder of the page and its pictures.
-        images: one picture (PNG, SVG or PDF) of the differences for each map, or none.
+    See ``slamfusion.report.page.write_page``; ``device``: what computed the alignments, in words.
     """
-    if report is None and not images:
-        return
-    from slamfusion.report import canvas, maps  # noqa: PLC0415  (an extra)
-
-    with AtomicFiles():
-        if report is not None:
-            _write_report(evaluations, report, config, device)
-        for evaluation, path in zip(evaluations, images, strict=bool(images)):
-            picture = maps.difference_picture(evaluation, None)
-            form = path.suffix.lower().removeprefix(".")
-            write_atomic(path, canvas.to_form(picture.figure, form))
-
-
-def _write_report(
-    evaluations: Sequence[Evaluation], directory: Path, config: RunConfig, device: str
-) -> None:
-    """Write the report of the differences of maps to one truth; rejected ones are at the top."""
     from slamfusion.report import layers, maps, page  # noqa: PLC0415  (an extra)
 
+    config = config or RunConfig()
     alignments = [evaluation.alignment for evaluation in evaluations]
     section = maps.error_section(evaluations, alignments)
     sections = [replace(section, layers=layers.error_layers(evaluations))]
@@ -298,9 +279,4 @@ def _write_report(
     ]
     banner = page.Banner("warn" if lost else "good", headline, lost)
     report = page.Page("SLAMfusion evaluation", banner, facts, sections, config, device)
-    page.write_page(report, directory)
-
-
-def difference_images(image: Path, names: Sequence[str]) -> list[Path]:
-    """Return where the difference images of several maps go: their names are added to one."""
-    return [image.with_stem(f"{image.stem}_{name.replace('/', '_')}") for name in names]
+    return page.write_page(report, directory)

@@ -47,17 +47,6 @@ CASES: dict[str, Case] = {
     "the true map of a SLAM": ("slam graph d.log --truth-map floor.yaml -o map", "map.pgm", ""),
     "scan odometry": ("slam graph d.log --scan-odometry x.json -o x", "x.json", "-o x"),
     "a state": ("slam gmapping d.log --resume s --save-state s -o x", "s", "--save-state s"),
-    "a difference image": ("evaluate a.yaml --truth i.yaml --image i.png", "i.png", ""),
-    "one of several images": (
-        "evaluate b.yaml c.yaml --truth i_b.yaml --image i.png",
-        "i_b.png",
-        "--image i.png",
-    ),
-    "the image of a case": (
-        "evaluate one/b.yaml two/b.yaml --truth one=a.yaml --truth two=i_one_b.yaml --image i.png",
-        "i_one_b.png",
-        "--image i.png",
-    ),
     "a further table of a path": (
         "trajectory t-2.csv --truth p.tum --table t.csv",
         "t-2.csv",
@@ -105,7 +94,7 @@ CASES: dict[str, Case] = {
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Make every input of the cases."""
     folder = tmp_path_factory.mktemp("made")
-    for name in ("sub", "run/d", "one", "two", "bag", "here/trials", "r/one/b", "data"):
+    for name in ("sub", "run/d", "one", "bag", "here/trials", "r/one/b", "data"):
         (folder / name).mkdir(parents=True)
 
     def save(name: str, image: str, of: str = "map_a") -> None:
@@ -115,7 +104,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
     save("b.yaml", "b.pgm", "map_b")
     save("c.yaml", "c.pgm", "map_c")
-    for name in ("a", "x_agreement", "x-2", "one/b", "two/b", "here/truth"):
+    for name in ("a", "x_agreement", "x-2", "one/b", "here/truth"):
         save(f"{name}.yaml", f"{Path(name).name}.pgm")
     save("floor.yaml", "map.pgm")
     save("mine.yaml", "run/fused.pgm")
@@ -123,8 +112,6 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     save("run/graph.yaml", "graph.pgm")
     save("run/d/fused.yaml", "fused.pgm")
     save("i.yaml", "i.png")
-    save("i_b.yaml", "i_b.png")
-    save("i_one_b.yaml", "i_one_b.png")
     save("01-plan.yaml", "01-plan.png")
     save("here/plan.yaml", "real-logs.png")
     save("packed.yaml", "grey.pgm")
@@ -231,7 +218,7 @@ def test_every_command_says_of_its_paths_what_they_are_for() -> None:
         return own + [item for found in below if found is not None for item in options(found)]
 
     outputs = {
-        *("--output", "--report", "--table", "--image", "--plot", "--save-results"),
+        *("--output", "--report", "--table", "--plot", "--save-results"),
         *("--save-state", "--fused", "--tum"),
     }
     for command, option in options(cli):

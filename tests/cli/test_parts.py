@@ -243,7 +243,6 @@ class Terminal(io.StringIO):
         "align a.yaml plan.png --scale free -o out",
         "compare a.zip b.zip --plot plot.png",
         "evaluate a.yaml --truth b.yaml --report out",
-        "evaluate a.yaml --truth b.yaml --image plot.png",
         "fuse a.yaml b.yaml -o out/fused --report out",
         "judge a.log a.tum --report out",
         "run a.log -o out",

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from slamfusion.errors import MapFileError
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OCCUPIED, OccupancyGrid
 from slamfusion.io import save_map
@@ -16,16 +15,14 @@ from slamfusion.jobs.cases import CaseFile, Placed
 from slamfusion.jobs.evaluate import (
     EvaluatedMap,
     EvaluatedMaps,
-    difference_images,
     evaluate_cases,
     evaluate_maps,
     measure_distances,
-    write_evaluation,
 )
 from slamfusion.jobs.records import Settings
 from slamfusion.json_values import plain
 from tests.fusion.drawings import fusion_config
-from tests.jobs.maps import CONFIG, device, files, moved
+from tests.jobs.maps import CONFIG, device, moved
 from tests.support.documents import check_document
 
 
@@ -42,17 +39,16 @@ def test_maps_are_measured_where_they_lie_or_aligned(tmp_path: Path) -> None:
     assert 0.0 < aligned.error < 0.5 * as_it_lies.error
     assert told == [("evaluate", 0, 2), ("evaluate", 1, 2), ("evaluate", 2, 2)]
 
-    images = difference_images(tmp_path / "image.png", [aligned.name, itself.name])
-    write_evaluation([aligned, itself], CONFIG, report=tmp_path / "report", images=images)
-    assert {"report/report.html", "image_moving.png", "image_building 3.png"} <= files(tmp_path)
     document = EvaluatedMaps(
         maps=[EvaluatedMap(aligned, Placed("t", "moving", Path()))],
         truth=Path("t.yaml"),
+        truths={"t": Path("t.yaml")},
         device="numpy",
         seed=0,
         settings=Settings(CONFIG),
     )
     check_document(plain(document), "evaluate")
+    assert document.write(tmp_path / "report") == [tmp_path / "report" / "report.html"]
 
 
 def test_the_fixed_step_search_never_lays_a_map_onto_the_truth() -> None:
@@ -65,18 +61,6 @@ def test_the_fixed_step_search_never_lays_a_map_onto_the_truth() -> None:
     assert with_step.alignment.transform == plain_search.alignment.transform
     assert with_step.alignment.reason == plain_search.alignment.reason
     assert with_step.error == plain_search.error
-
-
-def test_an_evaluation_that_cannot_be_written_leaves_nothing(tmp_path: Path) -> None:
-    truth, *_ = moved()
-    found = evaluate_maps([truth], truth, CONFIG, device())
-    (tmp_path / "folder.png").mkdir()
-    with pytest.raises(MapFileError, match=r"folder\.png: cannot write"):
-        write_evaluation(
-            found, CONFIG, report=tmp_path / "report", images=[tmp_path / "folder.png"]
-        )
-    assert not files(tmp_path)
-    assert not (tmp_path / "report").exists()
 
 
 def test_measured_distances_are_compared(tmp_path: Path) -> None:

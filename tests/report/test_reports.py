@@ -235,7 +235,7 @@ def test_a_failed_fusion_shows_each_map_and_each_pair(tmp_path: Path) -> None:
 
 def test_an_evaluation_report_names_the_nearest_map_and_the_lost_one(tmp_path: Path) -> None:
     lost = alignment("truth", "room 0", accepted=False)
-    write_evaluation(evaluations(lost), CONFIG, report=tmp_path)
+    write_evaluation(evaluations(lost), tmp_path, CONFIG)
     page = read(tmp_path / "report.html")
     assert "fused is nearest to truth" in page.text
     assert "room 0 could not be aligned:" in page.text
@@ -244,7 +244,7 @@ def test_an_evaluation_report_names_the_nearest_map_and_the_lost_one(tmp_path: P
 
 def test_undefined_measures_are_dashes(tmp_path: Path) -> None:
     empty = replace(room("empty", 1), cells=np.zeros((40, 60), dtype=np.int8))
-    write_evaluation([evaluation(empty)], CONFIG, report=tmp_path)
+    write_evaluation([evaluation(empty)], tmp_path, CONFIG)
     page = read(tmp_path / "report.html")
     assert not re.search(r"\b(nan|inf)\b", page.text)
     assert "None" not in page.text
@@ -262,18 +262,17 @@ def test_a_place_that_cannot_be_written_is_one_clear_line(tmp_path: Path) -> Non
 
 def test_pictures_are_also_had_as_svg_and_pdf_the_same_bytes_each_time(tmp_path: Path) -> None:
     config = replace(CONFIG, report=ReportConfig(("svg", "pdf")))
-    write_evaluation(evaluations()[:1], config, report=tmp_path)
+    write_evaluation(evaluations()[:1], tmp_path, config)
     first = {path.name: path.read_bytes() for path in tmp_path.glob("0*")}
     stems = {Path(name).stem for name in first}
     assert first.keys() == {f"{stem}.{form}" for stem in stems for form in PICTURE_FORMS}
     for name, data in first.items():
         assert data.startswith({".png": b"\x89PNG", ".svg": b"<?xml", ".pdf": b"%PDF"}[name[-4:]])
-    write_evaluation(evaluations()[:1], config, report=tmp_path)
+    # Title, legend and axes stand in the picture itself.
+    text = first["01-difference-room-0.svg"].decode()
+    assert all(words in text for words in ("room 0 against truth", "missing wall", "x [m]"))
+    write_evaluation(evaluations()[:1], tmp_path, config)
     assert first == {path.name: path.read_bytes() for path in tmp_path.glob("0*")}
     # A report without them leaves none of an earlier one.
-    write_evaluation(evaluations()[:1], CONFIG, report=tmp_path)
+    write_evaluation(evaluations()[:1], tmp_path, CONFIG)
     assert {path.suffix for path in tmp_path.iterdir()} == {".png", ".html"}
-    write_evaluation(evaluations()[:1], CONFIG, images=[tmp_path / "difference.svg"])
-    # Title, legend and axes stand in the picture itself.
-    text = (tmp_path / "difference.svg").read_text(encoding="utf-8")
-    assert all(words in text for words in ("room 0 against truth", "missing wall", "x [m]"))
