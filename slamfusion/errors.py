@@ -6,7 +6,8 @@ A message gives what was wanted, what was found, where, and what to do. ``OSErro
 from __future__ import annotations
 
 import reprlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 _SHORT = reprlib.Repr()
@@ -94,3 +95,20 @@ class AlignmentError(SlamFusionError):
 
 class MemoryBudgetError(SlamFusionError):
     """The work needs more memory than the machine has free; nothing was allocated."""
+
+
+@contextmanager
+def extra_needed(
+    extra: str, subject: str, kind: type[SlamFusionError] = SlamFusionError
+) -> Iterator[None]:
+    """Raise an error that says what to install if an import in the ``with`` block is missing.
+
+    Args:
+        extra: of this package, with what is imported.
+        subject: start of the message: ``the report needs``.
+    """
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        message = f"{subject} {error.name}; pip install 'slamfusion[{extra}]'"
+        raise kind(message) from error

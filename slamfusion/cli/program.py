@@ -129,9 +129,22 @@ def _run(arguments: list[str], settings: Settings) -> int:
     except BrokenPipeError:
         _drop_stdout()
         code = EXIT_PIPE_CLOSED
-    except _EXPECTED as error:
-        code = _fail(_describe(error), settings)
+    except (*_EXPECTED, ImportError) as error:
+        if _is_interrupt(error):
+            _say("interrupted")
+            code = EXIT_INTERRUPTED
+        elif isinstance(error, ImportError):
+            raise
+        else:
+            code = _fail(_describe(error), settings)
     return code if isinstance(code, int) else 0
+
+
+def _is_interrupt(error: BaseException | None) -> bool:
+    """Whether an interrupt caused an error: a library in C that is loading makes it another one."""
+    return error is not None and (
+        isinstance(error, KeyboardInterrupt) or _is_interrupt(error.__cause__)
+    )
 
 
 def _usage_message(error: click.UsageError) -> str:

@@ -60,10 +60,7 @@ def command(folder: Path, port: int, host: str, drive: str) -> None:
     with maps. The page shows layers, paths, the difference of two maps, and the value of a cell in
     each map. Ctrl-C ends it.
     """
-    try:
-        from slamfusion.web.server import PageServer  # noqa: PLC0415
-    except ImportError as error:
-        raise SlamFusionError(str(error)) from error
+    from slamfusion.web.server import PageServer  # noqa: PLC0415  (an extra)
 
     found = read_finished(folder, drive)
     server = PageServer(found.scene, host=host, port=port, report=found.report)

@@ -18,17 +18,14 @@ from typing import Any, TypeVar
 
 from slamfusion.compute import shared_device
 from slamfusion.cores import usable_cores
-from slamfusion.errors import FleetError
+from slamfusion.errors import FleetError, extra_needed
 from slamfusion.fleet import interrupts_held, threads_limited
 from slamfusion.version import __version__
 
-try:
+with extra_needed("fleet", "a scheduler needs", FleetError):
     import dask
     import distributed
     from distributed.cfexecutor import ClientExecutor
-except ImportError as missing:
-    _MESSAGE = f"a scheduler needs Dask ({missing}); pip install 'slamfusion[fleet]'"
-    raise FleetError(_MESSAGE) from missing
 
 _LOG = logging.getLogger(__name__)
 

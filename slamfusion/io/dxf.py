@@ -8,7 +8,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from slamfusion.errors import MapFileError
+from slamfusion.errors import MapFileError, extra_needed
 from slamfusion.geometry import I8
 from slamfusion.io.files import check_memory
 
@@ -39,15 +39,12 @@ def read_dxf(path: Path, resolution: float | None) -> tuple[I8, float, tuple[flo
         MapFileError: the file cannot be read or has no lines, or ezdxf is not installed.
         MemoryBudgetError: the plan would not fit into memory.
     """
-    try:
+    with extra_needed("plans", f"{path}: DXF drawings need", MapFileError):
         from ezdxf.disassemble import recursive_decompose, to_primitives  # noqa: PLC0415
         from ezdxf.enums import InsertUnits  # noqa: PLC0415
         from ezdxf.filemanagement import readfile  # noqa: PLC0415
         from ezdxf.lldxf.const import DXFError  # noqa: PLC0415
         from ezdxf.units import conversion_factor  # noqa: PLC0415
-    except ImportError as error:
-        message = f"{path}: DXF drawings need ezdxf; pip install 'slamfusion[plans]'"
-        raise MapFileError(message) from error
     try:
         drawing = readfile(path)
         has_unit = drawing.units != InsertUnits.Unitless

@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from slamfusion.errors import SlamFusionError, shown
+from slamfusion.errors import SlamFusionError, extra_needed, shown
 from slamfusion.evaluation.measured import Row
 from slamfusion.io import write_atomic
 from slamfusion.io.files import open_regular
@@ -30,13 +30,8 @@ from slamfusion.jobs.records import Summaries, record_bytes
 from slamfusion.json_values import plain
 from slamfusion.version import __version__, versions
 
-try:
+with extra_needed("report", "tables of several cases and saved results need"):
     import pandas as pd
-except ImportError as _error:
-    _message = (
-        "tables of several cases and saved results need pandas; pip install 'slamfusion[report]'"
-    )
-    raise SlamFusionError(_message) from _error
 
 FORMAT, FORMAT_VERSION = "slamfusion-results", 3
 MANIFEST, DOCUMENT, TABLE = "manifest.json", "document.json", "results.csv"

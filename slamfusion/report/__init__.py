@@ -5,10 +5,7 @@ Needs matplotlib, an extra; without it the import of this package says what to i
 
 from __future__ import annotations
 
-from slamfusion.errors import SlamFusionError
+from slamfusion.errors import extra_needed
 
-try:
+with extra_needed("report", "the report needs"):
     import matplotlib as _matplotlib  # noqa: F401, ICN001, TID251
-except ImportError as _error:
-    _message = "the report needs matplotlib; pip install 'slamfusion[report]'"
-    raise SlamFusionError(_message) from _error

@@ -30,17 +30,13 @@ class LivePage:
     ``command`` with ``save`` or ``reset``.
 
     Raises:
-        ConfigError: it cannot listen there, or the extra ``page`` is not installed.
+        SlamFusionError: it cannot listen there, or the extra ``page`` is not installed.
     """
 
     def __init__(
         self, base: NodeBase, settings: FusionNodeConfig, command: Callable[[str], tuple[bool, str]]
     ) -> None:
-        # Only the page needs the extra.
-        try:
-            from slamfusion.web.server import PageServer  # noqa: PLC0415
-        except ImportError as error:
-            raise ConfigError(str(error)) from error
+        from slamfusion.web.server import PageServer  # noqa: PLC0415  (an extra)
 
         self._command = command
         self._lock = threading.Lock()

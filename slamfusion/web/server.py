@@ -30,21 +30,18 @@ from dataclasses import MISSING, dataclass
 from pathlib import Path, PurePath
 from typing import Literal
 
-try:
+from slamfusion.config import Checked, from_mapping, option
+from slamfusion.errors import ConfigError, SlamFusionError, extra_needed
+from slamfusion.web import front_end
+from slamfusion.web.scene import Scene, to_text
+
+with extra_needed("page", "the page needs"):
     import uvicorn
     from starlette.applications import Starlette
     from starlette.requests import HTTPConnection, Request
     from starlette.responses import FileResponse, PlainTextResponse, Response
     from starlette.routing import Route, WebSocketRoute
     from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
-except ImportError as missing:  # starlette, uvicorn
-    message = f"the page needs {missing.name}; pip install 'slamfusion[page]'"
-    raise ImportError(message, name=missing.name) from None
-
-from slamfusion.config import Checked, from_mapping, option
-from slamfusion.errors import ConfigError, SlamFusionError
-from slamfusion.web import front_end
-from slamfusion.web.scene import Scene, to_text
 
 # Whether a command was carried out, and what to say.
 Answer = tuple[bool, str]

@@ -264,6 +264,23 @@ def test_without_matplotlib_what_draws_is_refused_before_any_file_is_read(
     )
 
 
+def test_an_interrupt_while_matplotlib_loads_is_no_missing_extra(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """pybind11, which its extensions are made with, makes an ImportError of all that they raise."""
+    monkeypatch.syspath_prepend(tmp_path)
+    for name in ("matplotlib", "slamfusion.report"):
+        monkeypatch.delitem(sys.modules, name, raising=False)
+    words = ["trajectory", "a.tum", "--truth", "b.tum", "--report", str(tmp_path / "out")]
+    source = tmp_path / "matplotlib.py"
+    source.write_text("raise ImportError('it failed') from KeyboardInterrupt", encoding="utf-8")
+    assert run_program(words) == 130
+    assert capsys.readouterr().err == "slamfusion: interrupted\n"
+    source.write_text("raise ImportError('wrong version')", encoding="utf-8")
+    with pytest.raises(ImportError, match="wrong version"):
+        run_program(words)
+
+
 def test_maps_are_aligned_without_matplotlib(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in [*sys.modules]:
         if name.split(".")[0] == "matplotlib" or name.startswith("slamfusion.report"):

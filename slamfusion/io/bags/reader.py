@@ -14,7 +14,7 @@ from operator import itemgetter
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any
 
-from slamfusion.errors import LogError, MemoryBudgetError, SlamFusionError
+from slamfusion.errors import LogError, MemoryBudgetError, SlamFusionError, extra_needed
 from slamfusion.io.bags import METADATA, STORAGE_FILES
 from slamfusion.io.yaml_file import read_yaml
 
@@ -153,13 +153,10 @@ class OpenBag:
 @contextmanager
 def open_bag(path: Path, notes: list[str]) -> Iterator[OpenBag]:
     """Open a bag; every failure of the library is reported as damage of the bag."""
-    try:
-        import rosbags.typesys  # noqa: F401, PLC0415  (an extra, and slow to load)
+    with extra_needed("bags", f"{path}: reading bags needs", LogError):
+        import rosbags.typesys  # noqa: F401, PLC0415  (slow to load)
 
         from slamfusion.io.bags.storage import decode, open_storage  # noqa: PLC0415
-    except ImportError as error:
-        message = f"{path}: reading bags needs rosbags; pip install 'slamfusion[bags]'"
-        raise LogError(message) from error
     try:
         with ExitStack() as stack:
             storages = [open_storage(file, stack) for file in _files(path, notes)]
