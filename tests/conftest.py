@@ -33,6 +33,7 @@ settings.load_profile("suite")
 # the end. Those that wait for nodes stand between those that compute.
 LONGEST = (
     "ros/test_producer_node.py",
+    "jobs/test_live_drive.py",
     "cli/test_run.py",
     "ros/test_fusion_faults.py",
     "align/test_datasets.py",

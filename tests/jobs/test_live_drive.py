@@ -88,12 +88,6 @@ def in_frame_of_a(names: str = "abc") -> Mapping[str, Pose2]:
 LATTICE = Lattice(0.05, Pose2(-0.02, 0.01, 0.0))
 
 
-def test_nothing_is_said_of_a_few_scans(device: ComputeDevice) -> None:
-    robot = Robot(device)
-    robot.drive_to(20)
-    assert robot.live.solve("whole") is None
-
-
 def test_the_path_is_better_than_each_input_and_lies_in_the_fused_frame(
     device: ComputeDevice,
 ) -> None:
@@ -112,31 +106,27 @@ def test_the_path_is_better_than_each_input_and_lies_in_the_fused_frame(
     assert found.evidence.drawn.height * 0.05 == pytest.approx(6.0, abs=0.3)
 
 
-@pytest.mark.parametrize("bent_ones", ["b", "bc"])
-def test_bent_inputs_are_contradicted_and_the_path_is_right(
-    device: ComputeDevice, bent_ones: str
-) -> None:
-    names = "ab" if bent_ones == "b" else "abc"
-    robot = Robot(device, bent_ones=bent_ones, names=names)
+def test_bent_inputs_are_contradicted_and_the_path_is_right(device: ComputeDevice) -> None:
+    robot = Robot(device, bent_ones="bc")
     robot.drive_to(SCANS)
     found = solved(robot, lattice=LATTICE, transforms=in_frame_of_a("a"))
-    assert set(found.evidence.doubts) == set(bent_ones)
+    assert set(found.evidence.doubts) == {"b", "c"}
     assert set(found.supported) == {"a"}
     assert all(5.0 < float(why.split()[-2]) < 16.0 for why in found.evidence.doubts.values())
     assert robot.error_m(found.path) < 0.02
     assert all("since stamp" in why for why in found.evidence.doubts.values())
 
 
-@pytest.mark.parametrize("depth", ["whole", "window"])
 def test_an_input_that_bends_slowly_is_contradicted_by_each_kind_of_solution(
-    device: ComputeDevice, depth: Depth
+    device: ComputeDevice,
 ) -> None:
     robot = Robot(device, names="ab")
     robot.bends = {"b": slowly_bent}
     robot.drive_to(60)
     assert not solved(robot).evidence.doubts
     robot.drive_to(SCANS)
-    assert set(solved(robot, depth).evidence.doubts) == {"b"}
+    assert set(solved(robot, "window").evidence.doubts) == {"b"}
+    assert set(solved(robot, "whole").evidence.doubts) == {"b"}
 
 
 def test_of_inputs_that_all_leave_the_fused_path_the_best_and_its_equals_vote(
@@ -249,16 +239,8 @@ def test_errors_of_windows_do_not_add_up(
     assert np.hypot(*off[-10:, :2].T).max() < 0.015
 
 
-def test_the_frame_stays_when_the_voters_move(device: ComputeDevice) -> None:
-    robot = Robot(device)
-    robot.drive_to(100)
-    solved(robot, lattice=LATTICE, transforms=in_frame_of_a())
-    moved = {name: Pose2(0.4, 0.0, 0.0).compose(place) for name, place in in_frame_of_a().items()}
-    found = solved(robot, lattice=LATTICE, transforms=moved)
-    assert robot.error_m(found.path) < 0.015
-
-
 def test_a_corrected_path_takes_the_place_of_poses(device: ComputeDevice) -> None:
+    """And the frame stays, though the voter has moved since the first solution."""
     robot = Robot(device, bent_ones="b", names="ab")
     robot.drive_to(SCANS)
     assert set(solved(robot, lattice=LATTICE, transforms=in_frame_of_a("a")).evidence.doubts) == {
@@ -267,7 +249,9 @@ def test_a_corrected_path_takes_the_place_of_poses(device: ComputeDevice) -> Non
     rows = [(pose.x, pose.y, pose.yaw_rad) for pose in robot.truth]
     stamps_s = np.array([item.scan.stamp_s for item in robot.scans])
     robot.live.set_path("b", Trajectory(stamps_s[::3], np.array(rows)[::3], "b"))
-    assert not solved(robot, lattice=LATTICE, transforms=in_frame_of_a("a")).evidence.doubts
+    found = solved(robot, lattice=LATTICE, transforms={"a": Pose2(0.4, 0.0, 0.0)})
+    assert not found.evidence.doubts
+    assert robot.error_m(found.path) < 0.015
 
 
 def test_frozen_odometry_is_named(device: ComputeDevice) -> None:
@@ -401,10 +385,6 @@ def test_where_scans_see_too_little_the_pose_is_less_sure(device: ComputeDevice)
     found = robot.live.locate("a", robot.scans[89].scan.stamp_s, robot.pose_of("a"))
     assert found is not None
     assert found.covariance[0, 0] > (live_drive.DRIFT * way_m) ** 2
-    robot.drive_to(SCANS)
-    walls = solved(robot).walls
-    assert walls is not None
-    assert math.sqrt(walls.covariance[0, 0]) == pytest.approx(live_drive.DRIFT * way_m, rel=0.3)
 
 
 def test_a_place_that_is_seen_again_is_as_sure_as_before(device: ComputeDevice) -> None:
@@ -425,7 +405,8 @@ def test_a_place_that_is_seen_again_is_as_sure_as_before(device: ComputeDevice) 
         walls = solved(robot).walls
         assert walls is not None
         sigmas_m.append(math.sqrt(walls.covariance[0, 0]))
-    assert sigmas_m[0] > 0.03
+    way_m = math.dist(*((pose.x, pose.y) for pose in (robot.truth[39], robot.truth[69])))
+    assert sigmas_m[0] == pytest.approx(live_drive.DRIFT * way_m, rel=0.3)
     assert sigmas_m[1] < 0.3 * sigmas_m[0]
 
 
