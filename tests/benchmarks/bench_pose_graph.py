@@ -3,7 +3,6 @@
     python -m tests.benchmarks.bench_pose_graph --part clean
     python -m tests.benchmarks.bench_pose_graph --part false --seeds 5
     python -m tests.benchmarks.bench_pose_graph --part online
-    python -m tests.benchmarks.bench_pose_graph --part again
 
 ``clean``: chi-square at the end. GTSAM 4.3 takes the logarithm of an error where g2o takes its
 coordinates, so its own factors have another least; the best known is therefore the least that its
@@ -21,8 +20,6 @@ diagonal of the clean one's box; chi-square is that of the true edges against th
 ``online``: the same graphs pose by pose, as a SLAM meets them: poses are put along the odometry,
 and every 20 of them, if there are new closures, the graph is solved from where it is and with the
 last verdict (``optimize(start="given", weights=...)``). CPU time of one such solution.
-
-``again``: CPU time of solving a solved graph once more, whole or its first poses.
 """
 
 from __future__ import annotations
@@ -58,7 +55,7 @@ T = TypeVar("T")
 NAMES = ("INTEL_1228", "intel", "MIT", "CSAIL", "M3500", "ais2klinik", "city10000")
 # Where all closures at once still finish, true and false.
 SMALL = ("INTEL_1228", "intel", "MIT", "CSAIL")
-PARTS = ("clean", "false", "online", "again")
+PARTS = ("clean", "false", "online")
 METHODS: tuple[Robust, ...] = ("none", "dcs", "gnc", "consensus")
 KINDS = ("shuffled", "random")
 WITHIN = 0.05
@@ -67,11 +64,6 @@ QR = "MULTIFRONTAL_QR"
 SLOW_POSES = 5000
 # Poses between two solutions of a graph that grows.
 SOLVE_POSES = 20
-# Graphs and how many of their first poses are solved once more.
-AGAIN = (
-    *(("intel", 900), ("intel", 1728), ("M3500", 3500)),
-    *(("city10000", 900), ("city10000", 5000), ("city10000", 10000)),
-)
 
 
 def timed(work: Callable[[], T], repetitions: int) -> tuple[float, T]:
@@ -270,36 +262,6 @@ def drive(graph: PoseGraph, method: Robust) -> tuple[F64, npt.NDArray[np.bool_],
     return poses, doubted, np.array(times)
 
 
-def again(names: tuple[str, ...], methods: tuple[Robust, ...], repetitions: int) -> Table:
-    """Return how long a solved graph takes, solved once more."""
-    columns = "graph, poses, edges, method, steps, ms, ms with 10 false closures that were left out"
-    table = Table(*columns.split(", "), title="a solved graph solved once more")
-    for name, count in [each for each in AGAIN if each[0] in names]:
-        graph = load(name)
-        kept = (graph.edges < count).all(axis=1)
-        graph = PoseGraph(
-            graph.poses[:count],
-            graph.edges[kept],
-            graph.motions[kept],
-            graph.information[kept],
-            graph.is_closure[kept],
-        )
-        graph = graph.with_poses(optimize(graph).poses)
-        false_too = with_false_closures(graph, 10.0 / graph.is_closure.sum(), 0, "random")
-        for method in methods:
-            times = []
-            for each in (graph, false_too):
-                weights = np.ones(len(each.edges))
-                weights[len(graph.edges) :] = 0.0
-                solve = partial(optimize, each, robust=method, start="given", weights=weights)
-                seconds, found = timed(solve, repetitions)
-                times.append(f"{1e3 * seconds:.1f}")
-            size = [str(len(graph)), str(len(graph.edges))]
-            table.add_row(name, *size, method, str(found.iterations), *times)
-            progress(name, size, method, times)
-    return table
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--part", choices=PARTS, default="clean")
@@ -316,10 +278,8 @@ def main() -> None:
         table = clean(names, options.repetitions)
     elif options.part == "false":
         table = false(names, methods, options.seeds)
-    elif options.part == "online":
-        table = online(names, methods, options.seeds)
     else:
-        table = again(names, methods, options.repetitions)
+        table = online(names, methods, options.seeds)
     console_for(f"pose-graphs-{options.part}", options.record, width=200).print(table)
 
 
