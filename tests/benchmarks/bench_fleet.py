@@ -1,14 +1,11 @@
-"""What a fleet costs and saves: Dask against processes, and a site that exceeds memory.
+"""Fuse a site that exceeds memory into a Zarr store.
 
-    python -m tests.benchmarks.bench_fleet overhead --maps 40 --workers 2
     python -m tests.benchmarks.bench_fleet site --maps 60 --cells 3500 --parts 1 --folder DIR
 
-``overhead`` fuses the maps of a simulated site (``tests.support.sites``) on so many processes and
-on as many workers of a Dask cluster, in turn, after a warm-up of each, and prints wall clock and
-the processor time of the caller and of the workers. ``site`` draws maps of one building that
-overlap by 20 to 60 % into a folder, each turned by any angle, then fuses them into a Zarr store
-with the installed command, and prints the size of the union, how many maps lie in their places, the
-time, and the peak of memory of each process. Further options go to that command.
+``site`` draws maps of one building that overlap by 20 to 60 % into a folder, each turned by any
+angle, then fuses them with the installed command, and prints the size of the union, how many maps
+lie in their places, the time, and the peak of memory of each process. Further options go to that
+command.
 """
 
 from __future__ import annotations
@@ -25,74 +22,20 @@ import tempfile
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from statistics import median
 
 import numpy as np
 import psutil
 from rich.table import Table
 
-from slamfusion.compute import open_device
-from slamfusion.fleet import executor_for
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import save_map
-from slamfusion.jobs.fuse import fuse_maps
-from tests.benchmarks.bench_many import CONFIG, RIGHT_M
+from tests.benchmarks.bench_many import RIGHT_M
 from tests.benchmarks.record import add_record_option, console_for
 from tests.support import sites
-from tests.support.sites import ManyMaps, many_maps
+from tests.support.sites import ManyMaps
 
 LOOK_S = 0.2
-
-
-# --- Dask against processes -------------------------------------------------------------------
-
-
-def overhead(maps: int, workers: int, cells: int, runs: int, record: Path | None) -> None:
-    """Print the table of times."""
-    device = open_device()
-    grids = list(many_maps(maps, 1, cells).grids)
-    table = Table(title=f"{maps} maps of {cells} x {cells} on {workers} workers")
-    for name in ("tasks on", "wall s", "CPU s here", "CPU s of workers", "CPU s in all"):
-        table.add_column(name, justify="left" if name == "tasks on" else "right")
-    found: dict[str, list[tuple[float, float, float]]] = {}
-    with executor_for(processes=workers) as processes, executor_for(f"local:{workers}") as cluster:
-        executors = {"processes": processes, "Dask": cluster}
-        for executor in executors.values():
-            fuse_maps(grids, CONFIG, device, executor=executor)
-        for _ in range(runs):
-            for name, executor in executors.items():
-                began_s, began = time.perf_counter(), cpu_of_all()
-                fuse_maps(grids, CONFIG, device, executor=executor)
-                here, others = (b - a for a, b in zip(began, cpu_of_all(), strict=True))
-                wall_s = time.perf_counter() - began_s
-                found.setdefault(name, []).append((wall_s, here, others))
-    rows = {
-        name: [*map(median, zip(*times, strict=True)), median(map(sum, (t[1:] for t in times)))]
-        for name, times in found.items()
-    }
-    for name, row in rows.items():
-        table.add_row(name, *(f"{value:.2f}" for value in row))
-    ratios = [dask / pool for dask, pool in zip(rows["Dask"], rows["processes"], strict=True)]
-    table.add_row("Dask over processes", *(f"{value:.3f}" for value in ratios))
-    console_for("fleet", record).print(table)
-
-
-def cpu_of_all() -> tuple[float, float]:
-    """Return the processor time so far of this process, and of all that it started."""
-    own = psutil.Process()
-    others = 0.0
-    for child in own.children(recursive=True):
-        try:
-            times = child.cpu_times()
-        except psutil.Error:
-            continue
-        others += times.user + times.system
-    times = own.cpu_times()
-    return times.user + times.system, others
-
-
-# --- a site that exceeds memory ---------------------------------------------------------------
 
 
 def draw_maps(folder: Path, count: int, cells: int, parts: int, seed: int) -> None:
@@ -215,19 +158,15 @@ def _high_water_mib(pid: int) -> float:
 def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
-    parser.add_argument("what", choices=("overhead", "site", "draw"))
+    parser.add_argument("what", choices=("site", "draw"))
     parser.add_argument("--maps", type=int, default=40)
     parser.add_argument("--cells", type=int, default=700, help="on a side of a map")
     parser.add_argument("--parts", type=int, default=4, help="of a drawn cell, on its side")
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--runs", type=int, default=3)
     parser.add_argument("--folder", type=Path, default=Path("out/site"))
     add_record_option(parser)
     asked, more = parser.parse_known_args()
-    if asked.what == "overhead":
-        overhead(asked.maps, asked.workers, asked.cells, asked.runs, asked.record)
-    elif asked.what == "draw":
+    if asked.what == "draw":
         draw_maps(asked.folder, asked.maps, asked.cells, asked.parts, asked.seed)
     else:
         site(asked.maps, asked.cells, asked.parts, asked.seed, asked.folder, more, asked.record)
