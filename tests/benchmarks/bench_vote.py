@@ -58,7 +58,7 @@ from slamfusion.geometry import F64, Pose2
 from slamfusion.grid import IDENTITY, OCCUPIED, UNKNOWN, CellBox, OccupancyGrid, trinary_cells
 from slamfusion.vote.walls import SAME_WALL_M
 from tests.benchmarks.record import add_record_option, console_for
-from tests.benchmarks.vote_cases import CACHE, KINDS, Case, cases
+from tests.benchmarks.vote_cases import KINDS, Case, cases
 
 THRESHOLDS = NormalizeConfig()
 TOLERANCE_M = EvaluateConfig().tolerance_m
@@ -151,9 +151,8 @@ def fuse_case(
     made = {}
     for mode in modes:
         config = FusionConfig()
-        align = replace(config.align, shared_frame=case.shared_frame)
         vote = replace(config.vote, mode=mode, extent="union")  # type: ignore[arg-type]  # words of a command line
-        config = replace(config, align=align, vote=vote)
+        config = replace(config, vote=vote)
         began_s = time.process_time()
         try:
             if result is None or each:
@@ -441,9 +440,6 @@ def main() -> None:
     parser.add_argument("--match", default="", help="only cases with this in their names")
     parser.add_argument("--each", action="store_true", help="align the maps for each mode again")
     parser.add_argument(
-        "--cache", type=Path, default=CACHE, help="maps of drives; default: %(default)s"
-    )
-    parser.add_argument(
         "--json", type=Path, metavar="FILE", help="write all figures, after each case"
     )
     add_record_option(parser)
@@ -454,7 +450,7 @@ def main() -> None:
     rows: list[Row] = []
     for kind in options.cases:
         for seed in range(options.first_seed, options.first_seed + options.seeds):
-            found = cases(kind, seed, options.match, options.cache)
+            found = cases(kind, seed, options.match)
             for case in track(found, f"{kind} {seed}", disable=not sys.stderr.isatty()):
                 fused = fuse_case(case, options.modes, device, each=options.each)
                 rows += measure_case(case, fused, device)

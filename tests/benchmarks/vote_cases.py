@@ -4,14 +4,12 @@
 
 - ``five-slams``: simulated worlds mapped by SLAMs of other people (recorded maps; no seed);
 - ``degraded``: 3 to 9 copies of a true map, each in a frame of its own, up to half of them bad;
-- ``pairs``: the same with two copies;
-- ``failures``: the maps of the three SLAMs on the drives of ``slamfusion experiment failures``.
+- ``pairs``: the same with two copies.
 """
 
 from __future__ import annotations
 
 import math
-import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -20,24 +18,20 @@ from pathlib import Path
 import numpy as np
 import scipy
 
-from slamfusion.compute import ComputeDevice, open_device
-from slamfusion.config import ExperimentConfig, FailuresConfig, RunConfig
+from slamfusion.compute import open_device
+from slamfusion.config import RunConfig
 from slamfusion.experiments.fusions import against_truth
-from slamfusion.experiments.trials import Trial, failure_trials
 from slamfusion.geometry import I8, Pose2
 from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, CellBox, OccupancyGrid
 from slamfusion.io.map_server import load_map
 from slamfusion.sim import named_course, thin_walls
 from slamfusion.sim.worlds import draw_floor
-from slamfusion.slam.registry import BUILT_IN
 from tests.support.datasets import DATASETS, MAPS
 from tests.support.degrade import Degradation, degrade_map, trinary
-from tests.support.evidence_drives import make_drive
 
-KINDS = ("five-slams", "degraded", "pairs", "failures")
+KINDS = ("five-slams", "degraded", "pairs")
 # Recorded maps that lie beside the folder of the tests' data sets.
 FIVE_SLAMS = DATASETS.parent / "second" / "maps" / "five-slams"
-CACHE = Path(tempfile.gettempdir()) / "slamfusion-vote-maps"
 # True maps of which copies are made: drawn places, whose walls are solid, and recorded maps.
 DRAWN_PLACES = ("office", "hall", "corridor")
 RECORDED = {  # with whether grey is unknown
@@ -59,35 +53,30 @@ class Case:
         truths: true maps in one frame, by how their walls are drawn: ``thin`` or ``solid``.
         poses: of each input's frame in the frame of the true maps, metres; to about 0.5 m and a few
             degrees, which is where the bench looks for the best fit.
-        shared_frame: all maps start in one frame, as those of one drive do.
     """
 
     name: str
     inputs: tuple[OccupancyGrid, ...]
     truths: Mapping[str, OccupancyGrid]
     poses: Mapping[str, Pose2]
-    shared_frame: bool = False
 
 
 # A case's name, and what makes it.
 Named = tuple[str, Callable[[], Case]]
 
 
-def cases(kind: str, seed: int, match: str = "", cache: Path = CACHE) -> Iterator[Case]:
+def cases(kind: str, seed: int, match: str = "") -> Iterator[Case]:
     """Yield the cases of a kind; the same seed gives the same cases.
 
     Args:
         kind: one of ``KINDS``.
         seed: of everything random; the recorded maps have none and come with seed 0 only.
         match: make only the cases with this in their names.
-        cache: folder that keeps the maps of simulated drives, which take minutes to make. Delete it
-            when a SLAM or the simulator has changed.
     """
     makers: dict[str, Callable[[], Iterator[Named]]] = {
         "five-slams": _five_slams,
         "degraded": lambda: _copied("degraded", seed, _degraded(seed)),
         "pairs": lambda: _copied("pairs", seed, PAIRS),
-        "failures": lambda: _failures(seed, cache),
     }
     for name, make in makers[kind]() if kind != "five-slams" or seed == 0 else ():
         if match in name:
@@ -113,16 +102,9 @@ def _recorded_world(name: str, path: Path) -> Case:
         if file != path
     ]
     grids = tuple(grid.with_name(grid.name.removesuffix("_map")) for grid in maps)
-    poses = {grid.name: _pose_in_truth(grid, truth, device) for grid in grids}
-    return Case(name, grids, {"thin": truth}, poses)
-
-
-def _pose_in_truth(
-    grid: OccupancyGrid, truth: OccupancyGrid, device: ComputeDevice, *, same_heading: bool = False
-) -> Pose2:
     config = RunConfig()
-    found = against_truth(grid, truth, config, device, same_heading=same_heading)
-    return found.transform
+    poses = {g.name: against_truth(g, truth, config, device).transform for g in grids}
+    return Case(name, grids, {"thin": truth}, poses)
 
 
 # --- degraded copies -----------------------------------------------------------------------------
@@ -292,27 +274,3 @@ COPIES: dict[str, Callable[[np.random.Generator], Copy]] = {
     "speckled": lambda _: (GOOD, _leak, None),
 }
 FAULTS = ("bent", "thick", "old", "cropped", "noisy", "blurred", "speckled")
-
-
-# --- drives with faults --------------------------------------------------------------------------
-
-
-def _failures(seed: int, cache: Path) -> Iterator[Named]:
-    """Yield the drives of the failures table for one seed."""
-    settings = ExperimentConfig(failures=FailuresConfig(repetitions=1))
-    config = RunConfig(seed=seed, experiment=settings)
-    for trial in failure_trials(config):
-        name = f"failures {trial.condition}, seed {seed}"
-        yield name, partial(_drive, name, trial, cache)
-
-
-def _drive(name: str, trial: Trial, cache: Path) -> Case:
-    """Return the maps of a drive; they are made where none are kept."""
-    device = open_device()
-    folder = make_drive(trial, cache, device)
-    truth = load_map(folder / "truth.yaml")
-    files = [folder / f"{producer}.yaml" for producer in BUILT_IN]
-    grids = tuple(load_map(file) for file in files if file.exists())
-    truths = {"thin": thin_walls(truth), "solid": truth}
-    poses = {grid.name: _pose_in_truth(grid, truth, device, same_heading=True) for grid in grids}
-    return Case(name, grids, truths, poses, shared_frame=True)
