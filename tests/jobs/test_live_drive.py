@@ -231,7 +231,7 @@ def test_errors_of_windows_do_not_add_up(
     robot.bends = dict.fromkeys("ab", slowly_bent)
     robot.drive_to(80)
     found = solved(robot)
-    for step in range(85, 201, 5):
+    for step in range(95, 201, 15):
         robot.drive_to(step)
         found = solved(robot, "window")
     motion = fit_motion(with_levers(found.path.poses[:80]), with_levers(truth.poses[:80]))
