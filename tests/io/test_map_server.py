@@ -710,7 +710,7 @@ def test_probabilities_beside_walls_are_settled_too(tmp_path: Path) -> None:
     [
         [254, 205, 0, 0, 205, 205, 254],  # what map savers write for unknown
         [254, 120, 120, 120, 0, 0, 0],  # too wide for a fringe
-        [254, 254, 120, 254, 254, 0, 0],  # beside no wall
+        [254, 254, 120, 254, 254, 0, 0],  # next to no wall
     ],
 )
 def test_other_grey_cells_stay_as_they_are(tmp_path: Path, row: list[int]) -> None:

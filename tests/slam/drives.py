@@ -107,7 +107,7 @@ def log_of(
 ) -> list[LogScan]:
     """Return scans with an odometry that turns too much and goes too far with every step.
 
-    It begins at ``start``, by default at the true pose.
+    It starts at ``start``, by default at the true pose.
     """
     odometry, log = start or truth[0], []
     for index, (scan, pose) in enumerate(zip(scans, truth, strict=True)):
