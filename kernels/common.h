@@ -21,6 +21,14 @@ INLINE int2 fixed_cell(const long4 pose, const int x2, const int y2) {
   return (int2)((int)(x >> FIXED_TO_CELL_SHIFT), (int)(y >> FIXED_TO_CELL_SHIFT));
 }
 
+/* Vectors that no register of the processor holds are converted in place: PoCL 3.0 cannot read back a
+ * program of its cache in which such a vector is an argument of a call. */
+#ifdef ONE_THREAD_A_GROUP
+#define CONVERT(type, vector) __builtin_convertvector(vector, type)
+#else
+#define CONVERT(type, vector) convert_##type(vector)
+#endif
+
 /* PoCL 3.0 leaves its builtins (vload, vstore, min, max, sqrt, floor) as function calls, and a call
  * spills every vector register around it. So hot loops read 32 bytes by plain loads where the device
  * takes any address, compare instead of calling min, and cut to int instead of calling floor.

@@ -332,7 +332,7 @@ __kernel void refine_terms(__global const float *forward_points, const int forwa
     const int8 on = ((int8)(0, 1, 2, 3, 4, 5, 6, 7) < stop - i) & (qx >= 0.5f) & (qy >= 0.5f) &
                     (qx < width - 0.5f) & (qy < height - 0.5f);
     const float8 fx = on ? qx - 0.5f : (float8)0.0f, fy = on ? qy - 0.5f : (float8)0.0f;
-    const int8 col = convert_int8(fx), row = convert_int8(fy);
+    const int8 col = CONVERT(int8, fx), row = CONVERT(int8, fy);
     const int8 cell = row * width + col;
     const int cells[REFINE_LANES] = {cell.s0, cell.s1, cell.s2, cell.s3,
                                      cell.s4, cell.s5, cell.s6, cell.s7};
@@ -342,11 +342,11 @@ __kernel void refine_terms(__global const float *forward_points, const int forwa
       high[lane] = BOTH_CELLS(distance + cells[lane] + width);
     }
     const uint8 row0 = GATHERED(low), row1 = GATHERED(high);
-    const float8 r00 = convert_float8(as_int8(row0 << 16 >> 16)), r01 = convert_float8(as_int8(row0 >> 16));
-    const float8 r10 = convert_float8(as_int8(row1 << 16 >> 16)), r11 = convert_float8(as_int8(row1 >> 16));
+    const float8 r00 = CONVERT(float8, as_int8(row0 << 16 >> 16)), r01 = CONVERT(float8, as_int8(row0 >> 16));
+    const float8 r10 = CONVERT(float8, as_int8(row1 << 16 >> 16)), r11 = CONVERT(float8, as_int8(row1 >> 16));
     const float unseen = DISTANCE_UNSEEN;
     const int8 counts = on & (r00 < unseen) & (r01 < unseen) & (r10 < unseen) & (r11 < unseen);
-    const float8 u = fx - convert_float8(col), v = fy - convert_float8(row);
+    const float8 u = fx - CONVERT(float8, col), v = fy - CONVERT(float8, row);
     const float8 d00 = r00 * (1.0f / DISTANCE_ONE), d01 = r01 * (1.0f / DISTANCE_ONE);
     const float8 d10 = r10 * (1.0f / DISTANCE_ONE), d11 = r11 * (1.0f / DISTANCE_ONE);
     const float8 d = (1 - v) * ((1 - u) * d00 + u * d01) + v * ((1 - u) * d10 + u * d11);

@@ -55,12 +55,12 @@ __kernel void piece_sums(__global const int *points, const int stride, __global 
   int8 values = 0, most = 0, seen = 0;
   const int stop = starts[piece + 1];
   for (int i = starts[piece]; i < stop; i += PIECE_LANES) {
-    const long8 x2 = convert_long8(as_int8(LOAD32(points + i)));
-    const long8 y2 = convert_long8(as_int8(LOAD32(points + stride + i)));
+    const long8 x2 = CONVERT(long8, as_int8(LOAD32(points + i)));
+    const long8 y2 = CONVERT(long8, as_int8(LOAD32(points + stride + i)));
     const int8 own = as_int8(LOAD32(points + 2 * stride + i));
     /* The sign is cut off, so it need not be kept. */
-    const int8 col = convert_int8(as_ulong8(cosine * x2 - sine * y2 + tx) >> FIXED_TO_CELL_SHIFT);
-    const int8 row = convert_int8(as_ulong8(sine * x2 + cosine * y2 + ty) >> FIXED_TO_CELL_SHIFT);
+    const int8 col = CONVERT(int8, as_ulong8(cosine * x2 - sine * y2 + tx) >> FIXED_TO_CELL_SHIFT);
+    const int8 row = CONVERT(int8, as_ulong8(sine * x2 + cosine * y2 + ty) >> FIXED_TO_CELL_SHIFT);
     const int8 on = (lane < stop - i) & (as_uint8(col) < (uint8)width) & (as_uint8(row) < (uint8)height);
     const ulong4 at = as_ulong4(on & (row * width + col));
     const int8 there = (int8)(WORD_AT(at.x), WORD_AT(at.y), WORD_AT(at.z), WORD_AT(at.w));

@@ -48,6 +48,10 @@ device = open_device("portable computing")
 assert all(passed for _, passed, _ in self_test(device))
 print("built on", device.device.version)
 """
+KERNELS = """
+from slamfusion.compute import open_device
+print(open_device("portable computing").program.kernel_names)
+"""
 # The kernel refuses what this thread asks of mprotect with these rights, as a hardened system does.
 DENY = """
 import struct
@@ -93,6 +97,16 @@ def test_kernels_build_and_the_process_ends_well(tmp_path: Path):
     assert "SLAMFUSION_PATCH_POCL=0" in detail
     assert "built on OpenCL" in built
     assert done.stderr.splitlines() == [detail]
+
+
+@pytest.mark.once
+@needs_wheels
+def test_kernels_are_read_back_from_the_cache_on_the_narrowest_registers(tmp_path: Path):
+    code = f"{UNKNOWN_PROCESSOR}pocl.PROCESSORS = {{'x86-64': ''}}{NAME_PROCESSOR}{KERNELS}"
+    built, read = (run(code, XDG_CACHE_HOME=str(tmp_path)) for _ in range(2))
+    assert built.stdout.splitlines()[-1].count(";") > 20, built.stderr
+    assert read.stdout == built.stdout
+    assert read.returncode == 0, read.stderr
 
 
 REFUSALS = {
