@@ -23,7 +23,7 @@ from slamfusion.compute.arrays import DeviceArray
 from slamfusion.compute.compute_device import ComputeDevice
 from slamfusion.compute.device import choose_device, is_simulator, is_single_thread
 from slamfusion.compute.layout import CLIMBERS, EACH_LANE, kernel_options
-from slamfusion.compute.pocl_cache import PLATFORM
+from slamfusion.compute.pocl_cache import PLATFORM, cache_folders
 from slamfusion.errors import DeviceError
 from slamfusion.geometry import I64, Scalar
 
@@ -130,6 +130,10 @@ class OpenCLDevice(ComputeDevice):
             words = " ".join(str(error).split())[:400]
             message = f"the kernels do not build on {self.device.name.strip()}: {words}"
             raise DeviceError(message) from error
+        if self.is_pocl and not self.program.kernel_names:
+            folder, _ = cache_folders()
+            message = f"the kernels in PoCL's cache {folder} are damaged; delete that folder"
+            raise DeviceError(message)
         # Idle kernel objects by name: one holds the arguments of one launch at a time.
         self._kernels: defaultdict[str, list[Any]] = defaultdict(list)
         self._tables: dict[bytes, OpenCLArray[Any]] = {}

@@ -24,19 +24,24 @@ FOLDER, CACHES = "POCL_CACHE_DIR", "XDG_CACHE_HOME"
 ROOM_BYTES = 2**24
 
 
-@cache
-def find_cache() -> str:
-    """Let PoCL store its kernels; return why it cannot, empty if it can.
-
-    Call it before pyopencl is imported, which keeps files in the user's caches itself.
-    """
+def cache_folders() -> tuple[Path, Path]:
+    """Return the folder in which PoCL stores its kernels, and that of the user's caches."""
     if os.environ.get(CACHES):
         caches = Path(os.environ[CACHES])
     elif os.environ.get("HOME"):
         caches = Path(os.environ["HOME"], ".cache")
     else:
         caches = Path("/tmp")  # noqa: S108 - PoCL's own choice
-    own = Path(os.environ.get(FOLDER) or caches / "pocl" / "kcache")
+    return Path(os.environ.get(FOLDER) or caches / "pocl" / "kcache"), caches
+
+
+@cache
+def find_cache() -> str:
+    """Let PoCL store its kernels; return why it cannot, empty if it can.
+
+    Call it before pyopencl is imported, which keeps files in the user's caches itself.
+    """
+    own, caches = cache_folders()
     reasons = {name: _why_not(folder) for name, folder in ((FOLDER, own), (CACHES, caches))}
     if not any(reasons.values()):
         return ""

@@ -72,3 +72,14 @@ def test_a_process_that_may_write_no_large_file_ends_well(tmp_path: Path) -> Non
     assert len(done.stderr.splitlines()) <= 1
     assert len(json_of(done)["maps"]) == 1
     assert not list(tmp_path.glob("slamfusion-*"))
+
+
+def test_kernels_that_are_damaged_in_the_cache_are_told(tmp_path: Path) -> None:
+    folder = str(tmp_path / FOLDERS[0])
+    command = ("evaluate", MAPS[0], "--truth", MAPS[1], "--no-align", "--device", "pthread")
+    assert run(*command, env={FOLDERS[0]: folder}).returncode == 0
+    (program,) = Path(folder).rglob("program.bc")
+    program.write_bytes(b"")  # as the power went out
+    done = run(*command, env={FOLDERS[0]: folder})
+    assert done.returncode != 0
+    assert f"PoCL's cache {folder} are damaged; delete that folder" in done.stderr
