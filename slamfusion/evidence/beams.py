@@ -22,6 +22,7 @@ from slamfusion.geometry import (
     Pose2,
     blend_poses,
     compose_poses,
+    interpolate_poses,
     invert_poses,
     travelled,
     wrap_angles,
@@ -47,8 +48,7 @@ class JudgedScans:
     Attributes:
         stamps_s: (N,) float64, times of the scans, seconds, strictly rising.
         chunks: (N,) int64, the chunk of each scan, 0 to ``CHUNKS`` - 1, never falling.
-        driven: the odometry at the stamps of these scans and of others in between; None where a
-            scan has none.
+        driven: the odometry at the stamps of these scans; None where a scan has none.
         lasers: (N, 2) float64, the laser of each scan in the robot's base frame, metres.
         hits: (B, 2) float64, ends of the judged beams in the robot's base frame, metres.
         facings_rad: (B,) float64, the direction that the surface faces that each hit, in the
@@ -66,12 +66,6 @@ class JudgedScans:
 
     def __len__(self) -> int:
         return len(self.stamps_s)
-
-    @cached_property
-    def odometry(self) -> F64 | None:
-        """(N, 3) float64, pose of the robot's base in the odometry frame at each scan."""
-        driven = self.driven
-        return None if driven is None else driven.poses[driven.nearest(self.stamps_s)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,13 +108,10 @@ def judged_scans(scans: Iterable[LogScan]) -> JudgedScans:
     return judged_hits(scan_hits(scans))
 
 
-def judged_hits(
-    scans: Iterable[ScanHits], most_hits: int = MOST_HITS, driven: Trajectory | None = None
-) -> JudgedScans:
+def judged_hits(scans: Iterable[ScanHits], most_hits: int = MOST_HITS) -> JudgedScans:
     """Choose the hits on which paths of a drive are scored, at most ``most_hits``.
 
-    If there are more, every second, fourth, ... hit of each scan is kept. ``driven`` is the
-    odometry of the drive; None: these scans have all of it.
+    If there are more, every second, fourth, ... hit of each scan is kept.
 
     Raises:
         LogError: fewer scans with a hit than there are chunks.
@@ -147,9 +138,8 @@ def judged_hits(
         )
     hits = np.concatenate(kept)
     stamps_s = np.array(stamps)
-    if len(odometry) < len(kept):
-        driven = None
-    elif driven is None:
+    driven = None
+    if len(odometry) == len(kept):
         driven = Trajectory(stamps_s, np.array(odometry), "odometry")
     return JudgedScans(
         stamps_s=stamps_s,
@@ -234,30 +224,17 @@ def cover_stamps(path: Trajectory, scans: JudgedScans) -> tuple[F64, B8]:
     near, is_own = path.matches(stamps_s)
     poses[is_own] = path.poses[near[is_own]]
     after = np.searchsorted(path.stamps_s, stamps_s, side="right")
-    before = np.maximum(after - 1, 0)
     is_between = (after > 0) & (after < len(path))
-    after = np.minimum(after, len(path) - 1)
     gap = np.flatnonzero(~is_own)
-    odometry, driven = scans.odometry, scans.driven
-    if odometry is None or driven is None:
-        wide_s = path.stamps_s[after[gap]] - path.stamps_s[before[gap]]
-        gap = gap[is_between[gap] & (wide_s <= BETWEEN_S)]
-        poses[gap] = blend_poses(
-            path.poses[before[gap]],
-            path.poses[after[gap]],
-            _shares(path.stamps_s, before[gap], after[gap], stamps_s[gap]),
-        )
+    driven = path if scans.driven is None else scans.driven
+    poses[gap] = carried_along(path, driven, stamps_s[gap])
+    is_known = is_between[gap]
+    if scans.driven is None:
+        wide_s = np.diff(path.stamps_s, prepend=-np.inf, append=np.inf)
+        is_known &= wide_s[after[gap]] <= BETWEEN_S
     else:
-        # Beyond its ends the odometry of the end.
-        later = np.clip(np.searchsorted(driven.stamps_s, path.stamps_s), 1, len(driven) - 1)
-        share = _shares(driven.stamps_s, later - 1, later, path.stamps_s)
-        there = blend_poses(driven.poses[later - 1], driven.poses[later], share)
-        onward = _carried(path.poses[before[gap]], there[before[gap]], odometry[gap])
-        backward = _carried(path.poses[after[gap]], there[after[gap]], odometry[gap])
-        share = _shares(path.stamps_s, before[gap], after[gap], stamps_s[gap])
-        poses[gap] = blend_poses(onward, backward, share)
-        beyond = gap[~is_between[gap] & _is_far(odometry, stamps_s, path, gap)]
-        poses[beyond] = np.nan
+        is_known |= ~_is_far(driven, path, gap)
+    poses[gap[~is_known]] = np.nan
     return poses, is_own
 
 
@@ -270,20 +247,29 @@ def no_common_time(name: str, path: Trajectory, stamps_s: F64) -> TrajectoryErro
     )
 
 
-def _shares(stamps_s: F64, before: I64, after: I64, at_s: F64) -> F64:
-    """Return how far times are from one stamp to the next, 0 to 1; 0 where both are one."""
-    wide_s = stamps_s[after] - stamps_s[before]
-    passed = (at_s - stamps_s[before]) / np.where(wide_s > 0.0, wide_s, 1.0)
-    return np.clip(np.where(wide_s > 0.0, passed, 0.0), 0.0, 1.0)
+def carried_along(path: Trajectory, driven: Trajectory, at_s: F64) -> F64:
+    """Return poses of a path at other times, (M, 3): carried by ``driven`` from those around them.
+
+    Beyond an end they are carried from it.
+    """
+    after = np.searchsorted(path.stamps_s, at_s, side="right")
+    before, after = np.maximum(after - 1, 0), np.minimum(after, len(path) - 1)
+    there, here = (
+        interpolate_poses(times_s, driven.stamps_s, driven.poses)
+        for times_s in (path.stamps_s, at_s)
+    )
+    wide_s = path.stamps_s[after] - path.stamps_s[before]
+    share = (at_s - path.stamps_s[before]) / np.where(wide_s > 0.0, wide_s, np.inf)
+    onward, backward = (
+        compose_poses(path.poses[end], compose_poses(invert_poses(there[end]), here))
+        for end in (before, after)
+    )
+    return blend_poses(onward, backward, share)
 
 
-def _carried(poses: F64, odometry_there: F64, odometry_here: F64) -> F64:
-    """Return poses moved by the odometry from there to here."""
-    return compose_poses(poses, compose_poses(invert_poses(odometry_there), odometry_here))
-
-
-def _is_far(odometry: F64, stamps_s: F64, path: Trajectory, at: I64) -> B8:
+def _is_far(driven: Trajectory, path: Trajectory, at: I64) -> B8:
     """Whether scans lie farther beyond the ends of a path than odometry may extend it."""
+    stamps_s, odometry = driven.stamps_s, driven.poses
     travelled_m = travelled(odometry)
     turned_rad = np.concatenate(([0.0], np.cumsum(np.abs(wrap_angles(np.diff(odometry[:, 2]))))))
     far = np.zeros(len(at), dtype=np.bool_)

@@ -21,11 +21,10 @@ def drive_conditions(evidence: PathEvidence, name: str) -> Mapping[Condition, st
     scans, score = evidence.scans, evidence.scores[name]
     path = Trajectory(scans.stamps_s[score.is_own], score.poses[score.is_own], name)
     found: dict[Condition, str] = {}
-    if scans.odometry is not None:
-        wheels = Trajectory(scans.stamps_s, scans.odometry, "odometry")
-        # However long ago they were, the newest steps are the evidence.
-        if text := "; ".join(contradictions(wheels, path, newest=2 * LEAST_STEPS)):
-            found["odometry"] = text
+    # However long ago they were, the newest steps are the evidence.
+    wheels, newest = scans.driven, 2 * LEAST_STEPS
+    if wheels is not None and (text := "; ".join(contradictions(wheels, path, newest=newest))):
+        found["odometry"] = text
     # If no scan contradicts the path, the robot is on it.
     others = [other for other in evidence.scores if other != name]
     broken = find_contradiction(evidence, name)

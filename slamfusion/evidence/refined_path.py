@@ -67,7 +67,7 @@ def refine_path(scans: JudgedScans, path: Trajectory) -> Trajectory:
     if not len(hits.scans):
         return path
     before = given[kept]
-    motions = KnownMotions.of(before, None if scans.odometry is None else scans.odometry[kept])
+    motions = KnownMotions.of(before, None if scans.driven is None else scans.driven.poses[kept])
     poses, calibration, moved = before, motions.calibration, np.zeros_like(before)
     for number in range(ROUNDS + LATTICES):
         say = motions.say(poses, calibration, number)
@@ -240,9 +240,9 @@ def _from_odometry(
     scans = evidence.scans
     score = evidence.scores[path.name]
     given, kept = score.poses, np.flatnonzero(score.is_own)
-    if scans.odometry is None or len(kept) < 2:
+    if scans.driven is None or len(kept) < 2:
         return None
-    poses = laid_onto(scans.odometry[kept], given[kept])
+    poses = laid_onto(scans.driven.poses[kept], given[kept])
     wheels = carried_along(path, scans.stamps_s[kept], given[kept], poses)
     told = with_path(evidence, _REFINED, wheels).scores[_REFINED].consistency
     if told < score.consistency - NEAR:

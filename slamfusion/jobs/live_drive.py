@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import math
 import threading
-from array import array
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -30,6 +29,7 @@ from slamfusion.evidence.beams import (
     CHUNKS,
     JudgedScans,
     ScanHits,
+    carried_along,
     cover_stamps,
     judged_hits,
     scan_hits,
@@ -177,9 +177,6 @@ class LiveDrive:
         self._poses: dict[str, list[list[float]]] = {}
         # Stamps of the last scans, with those that are dropped.
         self._heard_s: deque[float] = deque(maxlen=MOST_SCANS)
-        # Stamp, x, y and yaw of the odometry of all scans: an input's path may have poses at those
-        # that are dropped. 32 bytes a scan.
-        self._driven = array("d")
         # Stamps of the scans with too few hits for a pose.
         self._blind_s: list[float] = []
         self._solved = 0
@@ -220,8 +217,6 @@ class LiveDrive:
                     return
                 self._scans.clear()
             self._scans.append(hits)
-            if hits.odometry is not None:
-                self._driven.extend((hits.stamp_s, *row_of(hits.odometry)))
             if len(self._scans) > MOST_SCANS:
                 self._thin_out()
 
@@ -240,9 +235,9 @@ class LiveDrive:
         if not len(path):
             return
         with self._lock:
-            newer = [own for own in self._poses.get(name, ()) if own[0] > path.stamps_s[-1]]
-            rows = np.column_stack((path.stamps_s, path.poses)).tolist()
-            self._poses[name] = [*rows, *newer]
+            own = np.array(self._poses.get(name, ())).reshape(-1, 4)
+            scans_s = np.array([kept.stamp_s for kept in self._scans])
+            self._poses[name] = _revised(own, path, scans_s).tolist()
 
     def remove(self, name: str) -> None:
         """Forget an input."""
@@ -257,7 +252,6 @@ class LiveDrive:
             self._poses.clear()
             self._heard_s.clear()
             self._blind_s.clear()
-            del self._driven[:]
             self.solution = self._grown = None
             self._located, self._corrections = [], {}
 
@@ -365,11 +359,9 @@ class LiveDrive:
             kept = list(self._scans)
             poses = {name: np.array(own) for name, own in self._poses.items() if own}
             heard_s, blind_s = np.unique(self._heard_s), np.array(self._blind_s)
-            rows = np.array(self._driven).reshape(-1, 4)
         if len(kept) < CHUNKS:
             return None
-        driven = Trajectory(rows[:, 0], rows[:, 1:], "odometry") if len(rows) else None
-        scans = judged_hits(kept, beams.MOST_HITS if depth == "final" else MOST_HITS, driven)
+        scans = judged_hits(kept, beams.MOST_HITS if depth == "final" else MOST_HITS)
         paths = self._at_scans(scans, poses, heard_s)
         last = self._path if depth == "window" else None
         try:
@@ -586,10 +578,34 @@ def _blind_m(path: Trajectory, blind_s: F64) -> float:
     return float(scipy.sparse.csgraph.dijkstra(graph, directed=False, indices=from_first)[0, -1])
 
 
+def _revised(own: F64, path: Trajectory, scans_s: F64) -> F64:
+    """Return an input's poses as its path has them now; rows of stamp, x, y and yaw, as ``own``.
+
+    Where a long path leaves poses out, the input moved as it said before.
+    """
+    rows = np.column_stack((path.stamps_s, path.poses))
+    newer = own[:, 0] > path.stamps_s[-1] + SAME_STAMP_S
+    is_older = own[:, 0] < path.stamps_s[0] - SAME_STAMP_S
+    before = Trajectory(own[~newer & ~is_older, 0], own[~newer & ~is_older, 1:])
+    if len(before) and (is_told := before.matches(path.stamps_s)[1]).any():
+        left_out_s = before.stamps_s[~path.matches(before.stamps_s)[1]]
+        carried = carried_along(_chosen(path, is_told), before, left_out_s)
+        known_s = np.union1d(before.stamps_s, scans_s)
+        near_s = known_s[nearest_stamps(known_s, path.stamps_s)]
+        rows = rows[np.abs(near_s - path.stamps_s) <= SAME_STAMP_S]
+        rows = np.concatenate((rows, np.column_stack((left_out_s, carried))))
+        rows = rows[np.argsort(rows[:, 0])]
+    return np.concatenate((rows, own[newer]))
+
+
 def _part(path: Trajectory, after_s: float, until_s: float) -> Trajectory:
     """Return the poses of a path after one time and until another."""
-    here = (path.stamps_s > after_s) & (path.stamps_s <= until_s)
-    return replace(path, stamps_s=path.stamps_s[here], poses=path.poses[here])
+    return _chosen(path, (path.stamps_s > after_s) & (path.stamps_s <= until_s))
+
+
+def _chosen(path: Trajectory, which: B8) -> Trajectory:
+    """Return some poses of a path, by (N,) bool."""
+    return replace(path, stamps_s=path.stamps_s[which], poses=path.poses[which])
 
 
 def _variances(place_m: float, turn_rad: float) -> F64:

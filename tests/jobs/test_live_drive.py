@@ -274,12 +274,19 @@ def test_poses_of_another_robot_and_of_a_silent_input_are_not_scored(device: Com
     assert set(solved(robot).evidence.transforms) == {"a", "b"}
 
 
-def test_memory_is_bounded(device: ComputeDevice, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_long_drive_keeps_some_scans_and_its_inputs_poses_at_them(
+    device: ComputeDevice, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(live_drive, "MOST_SCANS", 60)
     monkeypatch.setattr(live_drive, "WINDOW_S", 2.5)
     robot = Robot(device)
+    robot.bends = dict.fromkeys("abc", slowly_bent)
+    robot.scans = [
+        replace(item, odometry=pose.compose(Pose2(*robot.noise.normal(0.0, 0.2, 3).tolist())))
+        for item, pose in zip(robot.scans, robot.truth, strict=True)
+    ]
     robot.drive_to(SCANS)
-    # A node's path has some of its poses, and not those of the scans that are kept.
+    # Loops are closed: a node's path is right, but has few of the poses, and of other scans.
     for name, frame in FRAMES.items():
         own = [frame.compose(pose) for pose in robot.truth]
         rows = np.array([(pose.x, pose.y, pose.yaw_rad) for pose in own])
@@ -289,7 +296,7 @@ def test_memory_is_bounded(device: ComputeDevice, monkeypatch: pytest.MonkeyPatc
     assert len(found.path) <= 60
     assert np.diff(found.path.stamps_s)[-10:].max() < 0.11
     assert found.path.stamps_s[0] < 1.0
-    assert robot.error_m(found.path) < 0.02
+    assert robot.error_m(found.path) < 0.01
 
 
 def test_time_that_goes_back_starts_a_new_drive(device: ComputeDevice) -> None:
