@@ -18,6 +18,7 @@ from slamfusion.io.files import check_memory, open_regular
 ROW_BYTES = 600
 GZIP_MAGIC = b"\x1f\x8b"
 _DAMAGE = (EOFError, gzip.BadGzipFile, zlib.error)
+_DAMAGED = "the packed file ends early or is damaged; copy it again"
 _BUFFER_BYTES = 1 << 16
 # zlib level: 9 takes four times as long and saves 2 %.
 PACKING = 5
@@ -50,12 +51,15 @@ def text_lines(
                     check_memory(number * kept_bytes, f"keeping {number} lines", str(path))
                 yield number, line
         except _DAMAGE:
-            message = f"{path}: line {number + 1}: the packed file ends early; copy it again"
-            raise cut_off(message) from None
+            raise cut_off(f"{path}: line {number + 1}: {_DAMAGED}") from None
 
 
 def read_head(path: Path) -> bytes:
-    """Return the first bytes of a file, unpacked if gzip; fewer if it is damaged."""
+    """Return the first bytes of a file, unpacked if gzip, as far as they can be read.
+
+    Raises:
+        LogError: none of the packed bytes can be read.
+    """
     with open_regular(path, LogError) as file:
         head = bytearray()
         try:
@@ -63,7 +67,8 @@ def read_head(path: Path) -> bytes:
             while (left := _BUFFER_BYTES - len(head)) and (part := stream.read1(left)):
                 head += part
         except _DAMAGE:
-            pass
+            if not head:
+                raise LogError(f"{path}: {_DAMAGED}") from None
     return bytes(head)
 
 

@@ -16,7 +16,7 @@ from slamfusion.errors import TrajectoryError
 from slamfusion.geometry import F64, quaternion_yaw_rad, wrap_angle
 from slamfusion.io.carmen import CARMEN_WORDS
 from slamfusion.io.files import write_atomic
-from slamfusion.io.lines import ROW_BYTES, packed_by_name, read_head, strip_gz, text_lines
+from slamfusion.io.lines import ROW_BYTES, packed_by_name, strip_gz, text_lines
 from slamfusion.io.log import odometry_path
 from slamfusion.io.logs import BAG_SUFFIXES, bag_at, open_log
 from slamfusion.io.tinyslam_dat import FIELDS
@@ -109,7 +109,7 @@ def read_trajectory(
 def _first_fields(where: Path) -> tuple[list[bytes], Columns | None]:
     """Return the fields of the first data line, and a pose's columns if a heading names them."""
     columns: Columns | None = None
-    for line in read_head(where).splitlines():
+    for _, line in text_lines(where, TrajectoryError):
         named = _named_columns(_split(line.strip().lstrip(b"#%")))
         columns = columns if named is None else named
         fields = _fields(line)

@@ -63,6 +63,15 @@ def test_an_empty_file_is_refused(tmp_path: Path, name: str) -> None:
     assert "the file is empty" in refusal(path)
 
 
+@pytest.mark.parametrize("data", [gzip.compress(b"FLASER")[:9], b"\x1f\x8b and no more of gzip"])
+def test_a_packed_file_of_which_nothing_can_be_read_is_not_called_empty(
+    tmp_path: Path, data: bytes
+) -> None:
+    path = tmp_path / "a.log.gz"
+    path.write_bytes(data)
+    assert "the packed file ends early or is damaged; copy it again" in refusal(path)
+
+
 @pytest.mark.parametrize("name", ["a.xyz", "a", "a.gz", "a.pgm.gz"])
 def test_an_unknown_extension_is_refused_whatever_is_inside(tmp_path: Path, name: str) -> None:
     message = refusal(write_lines(tmp_path / name, flaser(1)))

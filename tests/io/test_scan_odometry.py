@@ -119,7 +119,7 @@ def test_a_table_that_ends_early_is_one_line(tmp_path: Path) -> None:
     path = tmp_path / "a.csv.gz"
     packed = gzip.compress("\n".join([HEADER, *rows()]).encode())
     path.write_bytes(packed[:-12])
-    with pytest.raises(LogError, match="ends early; copy it again"):
+    with pytest.raises(LogError, match="ends early or is damaged; copy it again"):
         read_scan_odometry(path, tmp_path / "a.log", LOGGED)
 
 

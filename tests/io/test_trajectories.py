@@ -155,13 +155,14 @@ def test_what_is_no_trajectory_is_one_clear_line(
     assert "\n" not in str(caught.value)
 
 
-def test_a_cut_off_packed_file_is_an_error(tmp_path: Path) -> None:
+@pytest.mark.parametrize("share", [0.5, 0.0002])
+def test_a_cut_off_packed_file_is_an_error(tmp_path: Path, share: float) -> None:
     rng = np.random.default_rng(2)
     text = "".join(f"{k} {rng.random()} 0 0\n" for k in range(9000))
     packed = gzip.compress(text.encode())
     path = tmp_path / "a.txt.gz"
-    path.write_bytes(packed[: len(packed) // 2])
-    with pytest.raises(TrajectoryError, match="ends early"):
+    path.write_bytes(packed[: int(len(packed) * share)])
+    with pytest.raises(TrajectoryError, match=r"line \d+: the packed file ends early"):
         read_trajectory(path)
 
 

@@ -139,5 +139,5 @@ def test_packed_data_that_end_early_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "graph.g2o.gz"
     write_g2o(path, drawn(*laps(), noise=1.0))
     path.write_bytes(path.read_bytes()[:-200])
-    with pytest.raises(GraphError, match="ends early; copy it again"):
+    with pytest.raises(GraphError, match="ends early or is damaged; copy it again"):
         read_g2o(path)
