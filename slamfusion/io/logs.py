@@ -89,6 +89,11 @@ def bag_at(path: Path) -> Path | None:
     return where if _reader(where) is _bag_log else None
 
 
+def is_bag_folder(folder: Path) -> bool:
+    """Return whether a folder has the files of a ROS 2 bag."""
+    return any(any(folder.glob(pattern)) for pattern in _BAG_FILES)
+
+
 def log_sources(path: Path) -> list[Path]:
     """Return the files that ``open_log`` reads."""
     where = _place(path)
@@ -100,7 +105,7 @@ def _place(path: Path) -> Path:
     """Return the folder of a bag for its index, and for another folder the one log in it."""
     if path.name == _BAG_FILES[0]:
         return path.parent
-    if path.is_dir() and not _is_bag(path) and len(logs := _logs_in(path)) == 1:
+    if path.is_dir() and not is_bag_folder(path) and len(logs := _logs_in(path)) == 1:
         return logs[0]
     return path
 
@@ -109,17 +114,13 @@ def _suffix(where: Path) -> str:
     return Path(strip_gz(where.name)).suffix
 
 
-def _is_bag(folder: Path) -> bool:
-    return any(any(folder.glob(pattern)) for pattern in _BAG_FILES)
-
-
 def _logs_in(folder: Path) -> list[Path]:
     return sorted(item for item in folder.iterdir() if _suffix(item) in _READERS)
 
 
 def _reader(where: Path) -> Reader:
     if where.is_dir():
-        if _is_bag(where):
+        if is_bag_folder(where):
             return _bag_log
         logs = ", ".join(item.name for item in _logs_in(where)[:_NAMED])
         raise LogError(

@@ -16,8 +16,10 @@ from slamfusion.cores import usable_cores
 from slamfusion.errors import LogError, MapFileError
 from slamfusion.evidence.recommendation import Recommendation
 from slamfusion.grid import OCCUPIED, UNKNOWN
-from slamfusion.io import open_log
+from slamfusion.io.bags import METADATA
+from slamfusion.io.lines import strip_gz
 from slamfusion.io.log import BACK, EQUAL, STRAY
+from slamfusion.io.logs import bag_at, is_bag_folder, open_log
 from slamfusion.jobs.inputs import Progress, load_maps, map_file
 from slamfusion.jobs.outputs import RUN_RECORD
 from slamfusion.slam.registry import BUILT_IN, producer
@@ -27,8 +29,7 @@ GAP_PERIODS = 5.0
 # Recorded on mit-csail (1988 scans, 361 beams, two cores of an AMD EPYC): time of tinySLAM for a
 # scan, of alignment, vote and report together, and memory of all processes.
 SCAN_S, OTHER_STAGES_S, RUN_MB = 0.0022, 8.0, 1400.0
-MAP_SUFFIXES = {".yaml", ".yml", ".pgm", ".png", ".bmp", ".pnm"}
-BAG_SUFFIXES = {".bag", ".db3", ".mcap", ".active", ".zstd"}
+MAP_SUFFIXES = (".yaml", ".yml", ".pgm", ".png", ".bmp", ".pnm", ".dxf")
 
 
 @dataclass(frozen=True)
@@ -142,9 +143,8 @@ def describe(
     path, config = Path(path), config or RunConfig()
     if (path / RUN_RECORD).exists():
         return _run_info(path)
-    is_bag_folder = (path / "metadata.yaml").exists()
-    has_maps = path.is_dir() and not is_bag_folder and any(path.glob("*.yaml"))
-    if path.suffix.lower() in MAP_SUFFIXES or has_maps:
+    is_map = strip_gz(path.name).endswith(MAP_SUFFIXES) and path.name != METADATA
+    if is_map or (path.is_dir() and not is_bag_folder(path) and any(path.glob("*.yaml"))):
         return _map_info(map_file(path), config, resolution)
     return _log_info(path, config, progress or (lambda *_: None))
 
@@ -152,10 +152,11 @@ def describe(
 def _log_info(path: Path, config: RunConfig, progress: Progress) -> InfoDocument:
     remarks: list[str] = []
     topics, frames = list[str](), list[str]()
-    if path.is_dir() or path.suffix.lower() in BAG_SUFFIXES:
+    bag_path = bag_at(path)
+    if bag_path is not None:
         from slamfusion.io.bags.reader import open_bag  # noqa: PLC0415  (an extra)
 
-        with open_bag(path, remarks) as bag:
+        with open_bag(bag_path, remarks) as bag:
             topics, frames = bag.described_topics(), bag.described_frames()
     try:
         log = open_log(path, config.log)

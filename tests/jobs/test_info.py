@@ -63,9 +63,13 @@ def test_a_bag_has_the_frames_of_its_laser_and_transforms(tmp_path: Path) -> Non
     for number in range(10, 13):
         bag.transform(0.1 * number, "odom", "base_link", (0.1 * number, 0.0, 0.0))
         bag.scan(0.1 * number)
-    found = describe(bag.write(tmp_path, "sqlite3")).log
-    assert found is not None
-    assert found.frames == ["/scan in laser", "odom > base_link", "base_link > laser"]
+    folder = bag.write(tmp_path, "sqlite3")
+    write_carmen(tmp_path / "one" / "drive.log", drive(20)[0])
+    assert describe(tmp_path / "one").log is not None
+    for path in (folder, folder / "metadata.yaml", *folder.glob("*.db3")):
+        found = describe(path).log
+        assert found is not None
+        assert found.frames == ["/scan in laser", "odom > base_link", "base_link > laser"]
 
 
 def test_a_map_has_its_size_and_area(capsys: pytest.CaptureFixture[str]) -> None:
