@@ -20,13 +20,12 @@ from slamfusion.config import (
     START_M,
     START_RAD,
     ConfigOption,
-    FieldInfo,
     RunConfig,
     checked_start,
+    checked_value,
     config_fields,
-    from_mapping,
     shown_value,
-    split_list,
+    with_values,
 )
 from slamfusion.errors import ConfigError, StartError
 from slamfusion.jobs.inputs import PixelSizes
@@ -62,13 +61,21 @@ def settings(
             *args: Any, config_file: Path | None, like_paper: bool = False, **values: Any
         ) -> Any:
             found = [(option, values.pop(option.parameter)) for option in chosen]
-            given = [(option, value) for option, value in found if value is not None]
             config = preset if like_paper and preset is not None else defaults
             if config_file is not None:
                 from slamfusion.slam.registry import load_config  # noqa: PLC0415  (loads slowly)
 
                 config = load_config(config_file, config)
-            return function(*args, config=_override(config, given), **values)
+            try:
+                given = {
+                    option.key: checked_value(option.info, value, f"'{option.flag}'")
+                    for option, value in found
+                    if value is not None
+                }
+                config = with_values(config, given)
+            except ConfigError as error:
+                raise click.BadParameter(str(error)) from None
+            return function(*args, config=config, **values)
 
         command: Any = wrapper
         for option in reversed(chosen):
@@ -253,29 +260,15 @@ def common(function: F) -> F:
     return typing.cast("F", flag("--json", "as_json", text=words)(command))
 
 
-def _listed(info: FieldInfo, text: str | None) -> tuple[Any, ...] | None:
-    """Return the values of a text; which of them are allowed is seen later."""
-    if text is None:
-        return None
-    values = split_list(text, info.kind)
-    if info.kind is str and not values:
-        raise click.BadParameter("wanted names with commas between them, found none")
-    if not values or not all(type(item) is info.kind for item in values):
-        raise click.BadParameter(f"must be like 0.1..0.6 or 0.1,0.25, found {text!r}")
-    return tuple(values)
-
-
 def _click_option(option: ConfigOption) -> Callable[[Any], Any]:
     """Return the click option of one field; without it the field keeps its value."""
     info, name = option.info, option.flag
     more: dict[str, Any] = {}
     if info.kind is bool:
         name = f"{name}/--no-{name.removeprefix('--')}"
-    elif info.is_list:
-        more["callback"] = lambda _context, _option, text: _listed(info, text)
-    elif info.choices:
+    elif info.choices and not info.is_list:
         more["type"] = Choice(info.choices)
-    else:
+    elif not info.is_list:
         more["type"] = Number(info.kind) if info.kind in {int, float} else info.kind
     if info.kind is not bool and (info.is_list or not info.choices):
         word = info.unit or info.kind.__name__
@@ -288,30 +281,6 @@ def _click_option(option: ConfigOption) -> Callable[[Any], Any]:
         name, option.parameter, cls=Setting, section=option.section, default=None, help=help_text,
         **more,
     )  # fmt: skip
-
-
-def _override(config: RunConfig, given: Sequence[tuple[ConfigOption, Any]]) -> RunConfig:
-    """Return the configuration with the values of some options put in."""
-    nested: dict[str, Any] = {}
-    for option, value in given:
-        section = nested
-        for name in option.key.split(".")[:-1]:
-            section = section.setdefault(name, {})
-        section[option.info.name] = value
-    try:
-        return from_mapping(config, nested)
-    except ConfigError as error:
-        # It starts with the section; then, where one field is wrong, with its class and its name.
-        text, shared = str(error), "config: "
-        for option, _ in given:
-            where = ": ".join(["config", *filter(None, option.section.split(".")), ""])
-            shared = max(shared, where, key=len) if text.startswith(where) else shared
-        text = text.removeprefix(shared)
-        field, _, words = text.partition(" ")
-        for option, _ in given:
-            if field.partition(".")[2] == option.info.name:
-                raise click.BadParameter(words, param_hint=f"'{option.flag}'") from None
-        raise click.BadParameter(text) from None
 
 
 def scheduler(tasks: str) -> Callable[[F], F]:

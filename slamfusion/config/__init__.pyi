@@ -14,7 +14,7 @@ from slamfusion.config.core import (
     from_mapping as from_mapping,
     option as option,
     shown_value as shown_value,
-    split_list as split_list,
+    with_values as with_values,
 )
 from slamfusion.config.fusion import (
     SMALLEST as SMALLEST,

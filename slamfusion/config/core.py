@@ -139,7 +139,7 @@ def checked_value(info: FieldInfo, value: Any, where: str) -> Any:
     """Return a value as a field's type.
 
     Args:
-        where: its name in messages, e.g. ``node graph: graph.matcher.beams``.
+        where: its name in messages, e.g. ``'--seed'`` or ``node graph: graph.matcher.beams``.
 
     Raises:
         ConfigError: a wrong type, not one of the choices, or out of range.
@@ -150,6 +150,8 @@ def checked_value(info: FieldInfo, value: Any, where: str) -> Any:
 
 
 def _check_value(where: str, info: FieldInfo, value: Any) -> None:
+    if value == () != info.default:
+        raise ConfigError(f"{where}: wanted one value at least, found none")
     low = -math.inf if info.low is None else info.low
     high = math.inf if info.high is None else info.high
     for item in value if info.is_list and value is not None else (value,):
@@ -157,10 +159,11 @@ def _check_value(where: str, info: FieldInfo, value: Any) -> None:
             continue
         if info.choices and item not in info.choices:
             words = ", ".join(info.choices)
-            raise ConfigError(f"{where} must be one of {words}, found {shown(item)}")
+            raise ConfigError(f"{where}: must be one of {words}, found {shown(item)}")
         if (info.low, info.high) != (None, None) and not low <= item <= high:
             unit = f" {info.unit}" if info.unit else ""
-            raise ConfigError(f"{where} must lie in [{low:g}, {high:g}]{unit}, found {shown(item)}")
+            limits = f"[{low:g}, {high:g}]{unit}"
+            raise ConfigError(f"{where}: must lie in {limits}, found {shown(item)}")
 
 
 class Checked:
@@ -168,7 +171,7 @@ class Checked:
 
     def __post_init__(self) -> None:
         for info in field_infos(type(self)):
-            _check_value(f"{type(self).__name__}.{info.name}", info, getattr(self, info.name))
+            _check_value(info.name, info, getattr(self, info.name))
 
 
 @dataclass(frozen=True)
@@ -246,6 +249,30 @@ def shown_value(value: Any) -> str:
     if isinstance(value, tuple):
         return ",".join(map(shown_value, value))
     return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def with_values(config: T, values: Mapping[str, Any], section: str = "") -> T:
+    """Return a configuration with other values of leaf fields, by their dotted places.
+
+    Args:
+        values: of the right types, see ``checked_value``.
+        section: place of ``config``, with which the places start.
+
+    Raises:
+        ConfigError: values contradict each other.
+    """
+
+    def changed(own: Any, place: str) -> Any:
+        if place in values:
+            return values[place]
+        if isinstance(own, Mapping):
+            return {name: changed(below, f"{place}.{name}") for name, below in own.items()}
+        return with_values(own, values, place) if dataclasses.is_dataclass(own) else own
+
+    whole: Any = config
+    places = {item.name: f"{section}.{item.name}".lstrip(".") for item in dataclasses.fields(whole)}
+    changes = {name: changed(getattr(whole, name), place) for name, place in places.items()}
+    return typing.cast("T", dataclasses.replace(whole, **changes))
 
 
 @overload
@@ -360,10 +387,9 @@ def _coerce(value: Any, info: FieldInfo, where: str) -> Any:
     if value is None and info.is_optional:
         return None
     if info.is_list:
-        if isinstance(value, str):
-            value = split_list(value, info.kind)
-        if isinstance(value, (list, tuple)):
-            return tuple(_coerced(item, info, where) for item in value)
+        items = _split_list(value, info.kind) if isinstance(value, str) else value
+        items = items if isinstance(items, (list, tuple)) else [items]
+        return tuple(_coerced(item, info, where) for item in items)
     return _coerced(value, info, where)
 
 
@@ -383,18 +409,18 @@ def _coerced(value: Any, info: FieldInfo, where: str) -> Any:
     raise ConfigError(message)
 
 
-def split_list(text: str, kind: type[Any]) -> list[Any]:
+def _split_list(text: str, kind: type[Any]) -> list[Any]:
     """Return the values of a text: separated by commas, or ``first..last`` in steps of 0.1.
 
-    ``kind`` is str, int or float; parts that are no numbers stay text.
+    ``kind`` is str, int or float; a text without such values is returned as the only one.
     """
     if kind is str:
-        return [part.strip() for part in text.split(",") if part.strip()]
+        return [part.strip() for part in text.split(",") if part.strip()] or [text]
     try:
         if ".." in text:
             first, last = (float(part) for part in text.split(".."))
             steps = int((last - first) / LIST_STEP + 1e-6)
-            if steps >= LIST_MAX:
+            if not 0 <= steps < LIST_MAX:
                 return [text]
             return [kind(round(first + LIST_STEP * step, 6)) for step in range(steps + 1)]
         return [kind(part) for part in text.split(",")]

@@ -66,14 +66,6 @@ class OccupancyEstimatorConfig(Checked):
     )
     floors: int = option(1, "simulated office floors, drawn by the seeds from 1", low=0, high=100)
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not self.resolutions:
-            raise ConfigError(
-                "OccupancyEstimatorConfig.resolutions must be like 0.1..0.6 or 0.1,0.25, each in "
-                "[0.005, 1] m, found none"
-            )
-
 
 @dataclass(frozen=True)
 class CellModelsConfig(Checked):

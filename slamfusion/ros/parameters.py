@@ -7,7 +7,6 @@ checked by building the dataclass.
 
 from __future__ import annotations
 
-import dataclasses
 import difflib
 import sys
 from collections.abc import Callable, Collection, Mapping
@@ -29,6 +28,7 @@ from slamfusion.config import (
     checked_start,
     checked_value,
     config_fields,
+    with_values,
 )
 from slamfusion.errors import ConfigError, SlamFusionError
 from slamfusion.ros.interface import START_TEXT, NameList
@@ -98,19 +98,22 @@ def declare(
     infos = {item.key: item.info for item in config_fields(section, prefix)}
     where, given = _where(node), given_parameters(node)
     for name, info in infos.items():
-        if name in given:  # before ROS does, for a message with the unit
-            checked_value(info, given[name], f"{where}: {name}")
+        # Before ROS does, for a message with the unit.
+        checked_value(info, given.get(name, info.default), f"{where}: {name}")
         descriptor = _descriptor(info, is_changeable=name in changeable)
         node.declare_parameter(name, info.default, descriptor)
 
     def built(changed: dict[str, Any]) -> T:
-        values = {name: node.get_parameter(name).value for name in infos} | changed
-        checked = {
-            name: checked_value(info, values[name], f"{where}: {name}")
+        values = {
+            name: checked_value(
+                info, changed.get(name, node.get_parameter(name).value), f"{where}: {name}"
+            )
             for name, info in infos.items()
         }
-        whole: T = _replaced(section, prefix, checked, where)
-        return whole
+        try:
+            return with_values(section, values, prefix)
+        except ConfigError as error:
+            raise ConfigError(f"{where}: {error}") from None
 
     def own(changes: list[Any]) -> dict[str, Any]:
         return {item.name: item.value for item in changes if item.name in infos}
@@ -246,20 +249,6 @@ def _answer(check: Callable[[], object]) -> SetParametersResult:
     except SlamFusionError as error:
         return SetParametersResult(successful=False, reason=str(error))
     return SetParametersResult(successful=True)
-
-
-def _replaced(section: Any, prefix: str, values: Mapping[str, Any], where: str) -> Any:
-    """Return a section with checked values, by full names."""
-    changed = {}
-    for item in dataclasses.fields(section):
-        name = f"{prefix}.{item.name}".lstrip(".")
-        below = getattr(section, item.name)
-        is_section = dataclasses.is_dataclass(below)
-        changed[item.name] = _replaced(below, name, values, where) if is_section else values[name]
-    try:
-        return dataclasses.replace(section, **changed)
-    except ConfigError as error:
-        raise ConfigError(": ".join(filter(None, (where, prefix, str(error))))) from None
 
 
 def _descriptor(info: FieldInfo, *, is_changeable: bool) -> ParameterDescriptor:

@@ -38,10 +38,11 @@ CONFIG = RunConfig(
         ("0.3..0.3", (0.3,)),
         ("0.05..0.3", (0.05, 0.15, 0.25)),
         ("0.2", (0.2,)),
+        (0.2, (0.2,)),
         ("0.4, 0.05", (0.4, 0.05)),
     ],
 )
-def test_cell_sizes_are_read(text: str, sizes: tuple[float, ...]) -> None:
+def test_cell_sizes_are_read(text: str | float, sizes: tuple[float, ...]) -> None:
     config = from_mapping(OccupancyEstimatorConfig, {"resolutions": text})
     assert config.resolutions == sizes
 
@@ -51,7 +52,7 @@ def test_cell_sizes_are_read(text: str, sizes: tuple[float, ...]) -> None:
 )
 def test_what_is_no_list_of_cell_sizes_is_refused(text: str) -> None:
     with pytest.raises(
-        ConfigError, match=r"resolutions(: wanted a list of float| must lie in| must be like)"
+        ConfigError, match=r"^config: resolutions: (wanted a list of float|must lie in)"
     ):
         from_mapping(OccupancyEstimatorConfig, {"resolutions": text})
 

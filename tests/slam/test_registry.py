@@ -152,7 +152,10 @@ def test_a_file_sets_producers_by_name(tmp_path: Path) -> None:
         ("producers: {hector: {a: 1}}", "producers: the SLAM 'hector' is not one of tinyslam"),
         ("producers: [graph]", "producers: wanted a mapping of names to settings, found list"),
         ("producers: {graph: {beams: 1}}", "producers: graph: unknown key 'beams'"),
-        ("producers: {graph: {resolution: 9}}", r"resolution must lie in \[0.005, 1\] m, found 9"),
+        (
+            "producers: {graph: {resolution: 9}}",
+            r"graph: resolution: must lie in \[0.005, 1\] m, found 9",
+        ),
         ("[1, 2]", "wanted a mapping of settings, found list"),
         ("a: [", "not YAML"),
     ],
