@@ -38,7 +38,7 @@ from slamfusion.compute import ComputeDevice, open_device
 from slamfusion.errors import ConfigError
 from slamfusion.io.files import return_freed_memory
 from slamfusion.ros import qos
-from slamfusion.ros.parameters import TypedNode, unknown_parameters
+from slamfusion.ros.parameters import TypedNode, missed_sections, unknown_parameters
 
 T = TypeVar("T")
 
@@ -492,7 +492,8 @@ def run_node(make: Callable[[], NodeBase], arguments: Sequence[str] | None = Non
         if mark := os.environ.get(STARTED_VARIABLE):
             with contextlib.suppress(OSError):  # who asked for it is gone
                 Path(mark).touch()
-        for sentence in unknown_parameters(base.node):
+        missed = missed_sections(base.node, arguments or ())
+        for sentence in (*missed, *unknown_parameters(base.node)):
             base.log.warning(sentence)
         threading.Thread(target=_trim, name="memory", daemon=True).start()
         before = {

@@ -9,9 +9,13 @@ from __future__ import annotations
 
 import difflib
 import sys
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from fnmatch import fnmatchcase
+from itertools import pairwise
+from pathlib import Path
 from typing import Any, TypeVar
 
+import yaml
 from rcl_interfaces.msg import (
     FloatingPointRange,
     IntegerRange,
@@ -235,6 +239,40 @@ def unknown_parameters(node: Any) -> list[str]:
         for name in sorted(given_parameters(node))
         if not (node.has_parameter(name) or name.startswith("qos_overrides."))
     ]
+
+
+def missed_sections(node: Any, arguments: Sequence[str]) -> list[str]:
+    """Return a sentence for each parameter file that names the node wrongly; ROS is silent.
+
+    A file may be that of many nodes. It is meant for this one if a section has nearly its name.
+    """
+    own = str(node.get_fully_qualified_name())
+    sentences = []
+    for option, file in pairwise(arguments):
+        if option != "--params-file":
+            continue
+        sections = list(_sections(yaml.safe_load(Path(file).read_text(encoding="utf-8"))))
+        if any(fnmatchcase(own, name.replace("/**", "*")) for name in sections):
+            continue
+        last = {name: name.rpartition("/")[2] for name in sections}
+        near = [
+            name for name in sections if difflib.get_close_matches(last[name], [node.get_name()])
+        ]
+        if near:
+            sentences.append(
+                f"{file}: nothing of it is used: this node is {own!r}, and the file has sections "
+                f"for {', '.join(map(repr, near))}; rename one to {own!r} or '/**'"
+            )
+    return sentences
+
+
+def _sections(values: Any, name: str = "") -> Iterator[str]:
+    """Yield the name of the nodes, with namespace and wildcards, of each section of a file."""
+    for key, below in values.items() if isinstance(values, dict) else ():
+        if key == "ros__parameters":
+            yield name
+        else:
+            yield from _sections(below, f"{name}/{str(key).strip('/')}")
 
 
 def nearest_parameter(node: Any, name: str) -> str:

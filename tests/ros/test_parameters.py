@@ -2,6 +2,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Literal
 
 import pytest
@@ -15,7 +16,7 @@ from rclpy.parameter import Parameter
 from slamfusion.config import GmappingConfig, TinySlamConfig
 from slamfusion.config.core import Checked, option
 from slamfusion.errors import ConfigError
-from slamfusion.ros.parameters import TypedNode, declare, declare_starts
+from slamfusion.ros.parameters import TypedNode, declare, declare_starts, missed_sections
 
 pytestmark = pytest.mark.ros
 
@@ -149,3 +150,30 @@ def test_a_change_is_checked_and_told(make_node: MakeNode):
     assert "mod: unknown parameter; the nearest known one is 'mode'" in change("mod", "slow").reason
     assert len(told) == 2
     assert node.get_parameter("mode").value == "fast"
+
+
+@pytest.mark.parametrize(
+    ("sections", "missed"),
+    [
+        ("draw", "'/draw'"),
+        ("/robot1/drawn0", "'/robot1/drawn0'"),
+        ("robot1: {drawn0", "'/robot1/drawn0'"),
+        ("amcl", ""),
+        ("drawn0", ""),
+        ("/**", ""),
+        ("/**/drawn0", ""),
+        ("draw: {ros__parameters: {a: 1}}\n'**'", ""),
+    ],
+)
+def test_a_file_with_nearly_the_name_of_the_node_is_named(
+    make_node: MakeNode, tmp_path: Path, sections: str, missed: str
+):
+    path = tmp_path / "params.yaml"
+    end = "}" * sections.count("robot1: {")
+    path.write_text(f"{sections}: {{ros__parameters: {{a: 1}}}}{end}\n", encoding="utf-8")
+    sentences = missed_sections(make_node(), ["--ros-args", "--params-file", str(path)])
+    wanted = (
+        f"{path}: nothing of it is used: this node is '/drawn0', and the file has sections for "
+        f"{missed}; rename one to '/drawn0' or '/**'"
+    )
+    assert sentences == [wanted] * bool(missed)
