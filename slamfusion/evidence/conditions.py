@@ -18,8 +18,7 @@ CONDITIONS: tuple[Condition, ...] = get_args(Condition)
 
 def drive_conditions(evidence: PathEvidence, name: str) -> Mapping[Condition, str]:
     """Return what is wrong with a drive so far, in words, by the path called ``name``."""
-    scans, score = evidence.scans, evidence.scores[name]
-    path = Trajectory(scans.stamps_s[score.is_own], score.poses[score.is_own], name)
+    scans, path = evidence.scans, evidence.own_path(name)
     found: dict[Condition, str] = {}
     # However long ago they were, the newest steps are the evidence.
     wheels, newest = scans.driven, 2 * LEAST_STEPS

@@ -188,6 +188,11 @@ class PathEvidence:
         first, second = self.scores[a], self.scores[b]
         return compare_sums(first.sums, second.sums, first.beams, self.is_judged)
 
+    def own_path(self, name: str) -> Trajectory:
+        """Return a path at the scans that it has a pose for itself."""
+        score = self.scores[name]
+        return Trajectory(self.scans.stamps_s[score.is_own], score.poses[score.is_own], name)
+
     def over_time(self, name: str) -> tuple[F64, F64, I64, F64]:
         """Return a path's score over the chunks of the drive.
 

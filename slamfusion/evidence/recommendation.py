@@ -15,7 +15,7 @@ the confidence is low.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
@@ -23,8 +23,9 @@ import numpy as np
 from slamfusion.evidence.beams import CHUNKS
 from slamfusion.evidence.displacement import CONTRADICTED, contradicted_share, find_displacements
 from slamfusion.evidence.parting import PART_M, Span, path_gap_m, path_spans
-from slamfusion.evidence.predictive import BLOCKS, SURE, PathEvidence, compare_sums
+from slamfusion.evidence.predictive import BLOCKS, SURE, PathEvidence, compare_sums, with_path
 from slamfusion.geometry import fit_motion, moved_poses
+from slamfusion.slam.common.odometry_check import contradictions, laser_fault
 from slamfusion.trajectory import Trajectory, flag_runs, nearest_stamps
 
 # The most places to check.
@@ -39,6 +40,8 @@ LITTLE_SEEN = 0.25
 # Blocks of scans and log-likelihood per hit from which the scans of a time support one of two
 # paths: scan matchers fit the scans of a place slightly better than the true path does.
 LEAST_BLOCKS, LEAST_DIFFERENCE = 4, 0.03
+
+MIRRORED = "the path is mirrored: negate its y and yaw"
 
 # How far a recommended path can be trusted.
 Confidence: TypeAlias = Literal["high", "medium", "low"]
@@ -116,6 +119,9 @@ class RankedPath:
     """Share of the log's scans that the path itself has a pose for."""
     covered_share: float
     """The same with poses that odometry carried on."""
+    faults: Sequence[str]
+    """How the path contradicts the odometry, a sentence each; empty: it does not, or there is none.
+    A path whose mirror image agrees with both scans and odometry is mirrored."""
     over_time: Sequence[PathTime]
     """The score in equal parts of the drive, in the order of time."""
     spans: Sequence[Span]
@@ -177,6 +183,15 @@ class Recommendation:
         laser = [("Laser:", self.laser_fault)] if self.laser_fault else []
         return laser + alone + [("Check:", str(place)) for place in self.check]
 
+    def path_faults(self) -> list[tuple[str, str]]:
+        """Return faults of the recommended path, else of the others, each after the path's name.
+
+        If the odometry contradicts the recommended path, it is no reason to doubt another one.
+        """
+        faults = [(path.name, text) for path in self.paths for text in path.faults]
+        first = [fault for fault in faults if fault[0] == self.path] or faults
+        return [fault for fault in first if fault[1] not in (self.laser_fault or "")]
+
 
 def recommend(
     evidence: PathEvidence,
@@ -198,7 +213,9 @@ def recommend(
     )
     own_paths = [own for own in paths if own.name in slams]
     check, confidence = _checks(evidence, own_paths, path, frame)
-    return Recommendation(None, path, alone, confidence, check, paths=paths)
+    is_mirrored = paths[0].faults == (MIRRORED,)
+    laser = None if is_mirrored else laser_fault(evidence.scans.driven, evidence.own_path(path))
+    return Recommendation(None, path, alone, confidence, check, laser, paths)
 
 
 def choose_path(
@@ -321,6 +338,21 @@ def _place(
     return float(x), float(y)
 
 
+def _faults(evidence: PathEvidence, name: str) -> tuple[str, ...]:
+    """Return how a path contradicts the odometry, a sentence each."""
+    wheels, path = evidence.scans.driven, evidence.own_path(name)
+    if wheels is None:
+        return ()
+    if laser_fault(wheels, path) is not None:
+        # The image of a path that a mirrored laser made fits its scans worse.
+        image = replace(path, poses=path.poses * (1.0, -1.0, -1.0))
+        scores = with_path(evidence, "its image", image).scores
+        is_better = scores["its image"].consistency > scores[name].consistency
+        if is_better and laser_fault(wheels, image) is None:
+            return (MIRRORED,)
+    return tuple(contradictions(wheels, path))
+
+
 # --- the reasons ---------------------------------------------------------------------------------
 
 
@@ -344,6 +376,7 @@ def _ranked(evidence: PathEvidence, name: str, best: str, from_fused_m: float | 
         seen_consistency=score.seen_consistency if score.seen.any() else None,
         own_poses_share=float(score.is_own.mean()),
         covered_share=float(np.isfinite(score.poses[:, 0]).mean()),
+        faults=_faults(evidence, name),
         over_time=[
             PathTime(
                 float(time_s) - start_s,

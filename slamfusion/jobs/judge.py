@@ -20,7 +20,7 @@ from slamfusion.evaluation.measured import (
 )
 from slamfusion.evaluation.trajectory_error import on_clock
 from slamfusion.evidence.beams import judged_scans
-from slamfusion.evidence.predictive import PathEvidence, score_paths, with_path
+from slamfusion.evidence.predictive import PathEvidence, score_paths
 from slamfusion.evidence.recommendation import RankedPath, Recommendation, recommend
 from slamfusion.fusion.groups import LEAST_FUSED
 from slamfusion.io import open_log, read_trajectory, write_tum
@@ -30,7 +30,6 @@ from slamfusion.jobs.inputs import LogFiles, Warn, as_path, device_for, distinct
 from slamfusion.jobs.outputs import FUSED
 from slamfusion.jobs.records import Circumstances, Summaries
 from slamfusion.json_values import FLAT
-from slamfusion.slam.common.odometry_check import contradictions, laser_fault
 from slamfusion.trajectory import Trajectory
 
 
@@ -171,12 +170,13 @@ def judge_paths(
     offset = config.trajectory.time_offset
     read = {name: replace(on_clock(path, wheels, offset), name=name) for name, path in read.items()}
     evidence = score_paths(scans, read, device)
-    fused_path, every = None, read
+    fused_path = None
     if fused_file is not None:
         fused_path, with_fused = _fuse(read, evidence)
-        evidence, every = with_fused or evidence, {**read, FUSED: fused_path.trajectory}
+        evidence = with_fused or evidence
     found = recommend(evidence, tuple(read), fused=None if fused_path is None else FUSED)
-    found = _with_sensor_faults(found, evidence, wheels, every.get(found.path or ""), warn)
+    for name, fault in found.path_faults():
+        warn(f"{name}: {fault}")
     not_measured = []
 
     def measured(path: Trajectory) -> Measures:
@@ -248,6 +248,7 @@ def write_judgement(found: JudgedPaths, directory: str | Path) -> Path:
         table = page.tables().ranks(heads, rows)
         sections.append(page.Section("Compared with what is known", text, tables=table))
     lines = paths.place_lines(answer)
+    lines += [(f"{name}:", fault) for name, fault in answer.path_faults()]
     lines += [("Not measured:", sentence) for sentence in found.not_measured]
     lines.append(("Log:", str(found.files.log)))
     facts = [
@@ -261,29 +262,6 @@ def write_judgement(found: JudgedPaths, directory: str | Path) -> Path:
     banner = page.Banner(answer.tone, answer.headline, lines)
     report = page.Page("SLAMfusion judge", banner, facts, sections, made_by.config, made_by.device)
     return page.write_page(report, directory)
-
-
-def _with_sensor_faults(
-    found: Recommendation,
-    evidence: PathEvidence,
-    wheels: Trajectory | None,
-    path: Trajectory | None,
-    warn: Warn,
-) -> Recommendation:
-    """Add a laser that contradicts the odometry; tell of odometry that contradicts the path."""
-    fault = laser_fault(wheels, path)
-    if fault is not None and path is not None:
-        # The image of a path that a mirrored laser made fits its scans worse.
-        image = replace(path, poses=path.poses * (1.0, -1.0, -1.0))
-        scores = with_path(evidence, "its image", image).scores
-        is_better = scores["its image"].consistency > scores[found.path or ""].consistency
-        if is_better and laser_fault(wheels, image) is None:
-            warn(f"{found.path}: the path is mirrored: negate its y and yaw")
-            return found
-    for sentence in () if wheels is None or path is None else contradictions(wheels, path):
-        if sentence not in (fault or ""):
-            warn(f"{found.path}: {sentence}")
-    return replace(found, laser_fault=fault)
 
 
 def _check_fused(files: Mapping[str, Path]) -> None:

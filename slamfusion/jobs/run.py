@@ -425,10 +425,11 @@ def _recommend(
         found = replace(found, use=FUSED if is_one_map else found.path)
     elif (use := FUSED if is_fused else fallback) is not None:
         path = FUSED if fused_path is not None else fallback if fallback in paths else None
-        found = Recommendation(use, path, fallback)
+        fault = laser_fault(wheels, every.get(path or ""))
+        found = Recommendation(use, path, fallback, laser_fault=fault)
     else:
         return None
-    return replace(found, laser_fault=laser_fault(wheels, every.get(found.path or "")))
+    return found
 
 
 def voting_config(config: RunConfig) -> RunConfig:

@@ -297,15 +297,22 @@ class LogRun:
     def _logs(self) -> list[LogRecord]:
         return [item.run.log for item in self.results.values() if item.run.log is not None]
 
+    def path_faults(self) -> list[tuple[str, str]]:
+        """Return what is doubtful about the path of a producer or saved map, after its name."""
+        found = [(name, text) for name, item in self.results.items() for text in item.run.warnings]
+        if self.recommendation is not None:
+            faults = self.recommendation.path_faults()
+            found += [fault for fault in faults if fault[0] not in {*self.results, outputs.FUSED}]
+        return found
+
     def sentences(self) -> tuple[str, ...]:
         """Return what was left out and what is doubtful; ``not_measured`` and ``error`` apart."""
         found = [f"no map: {item.name}: {item.failed}" for item in self.failed]
         if self.fusion.result is not None:
             found += left_out_sentences(self.fusion.result)
         by_sentence: dict[str, list[str]] = {}
-        for name, result in self.results.items():
-            for sentence in result.run.warnings:
-                by_sentence.setdefault(sentence, []).append(name)
+        for name, sentence in self.path_faults():
+            by_sentence.setdefault(sentence, []).append(name)
         found += [f"{', '.join(names)}: {text}" for text, names in by_sentence.items()]
         if self.no_verdict is not None:
             found.append(f"the scans could not be asked about the paths: {self.no_verdict}")

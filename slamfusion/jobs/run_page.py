@@ -68,8 +68,7 @@ def _banner(run: LogRun) -> page.Banner:
     lines += [(f"{item.name} made no map:", item.failed) for item in run.failed]
     if result is not None:
         lines += fusion_report.doubtful_lines(result)
-    for name, item in run.results.items():
-        lines += [(f"{name}:", text) for text in item.run.warnings]
+    lines += [(f"{name}:", text) for name, text in run.path_faults()]
     lines += [(f"{where.capitalize()}:", text) for where, text in run.log_faults()]
     if run.why_voted is not None:
         lines.append(("Not drawn:", f"the maps vote ({run.fused_mode}): {run.why_voted}"))

@@ -174,6 +174,8 @@ def test_a_mirrored_path_is_not_taken_for_a_mirrored_laser(tmp_path: Path) -> No
     found = judge_paths(tmp_path / "drive.log", [tmp_path / "slam.tum"], warn=told.append)
     assert found.recommendation.laser_fault is None
     assert "slam: the path is mirrored: negate its y and yaw" in told
+    (path,) = plain(found)["path_evidence"]
+    assert path["faults"] == ["the path is mirrored: negate its y and yaw"]
 
 
 def test_a_mirrored_laser_is_said(tmp_path: Path) -> None:

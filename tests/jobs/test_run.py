@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,7 +16,7 @@ from slamfusion.evaluation.distances import wall_centres
 from slamfusion.evidence.beams import judged_scans, scan_hits
 from slamfusion.evidence.predictive import score_paths
 from slamfusion.geometry import Pose2
-from slamfusion.grid import OccupancyGrid
+from slamfusion.grid import OCCUPIED, OccupancyGrid
 from slamfusion.io import load_map, open_log, read_trajectory, save_map, write_carmen, write_tum
 from slamfusion.jobs.cases import CaseFile
 from slamfusion.jobs.fused_path import FusedPath
@@ -256,6 +257,27 @@ def test_a_saved_map_brings_its_path(place: Path, tmp_path: Path) -> None:
     assert own.covered_share > 0.9
     page = (tmp_path / "out" / "report" / "report.html").read_text(encoding="utf-8")
     assert '<td class="plain">map</td><td class="plain">ATE, translation [m]</td>' in page
+
+
+@pytest.mark.once
+def test_a_mirrored_path_of_a_saved_map_is_named(tmp_path: Path) -> None:
+    yaws = [[0.0, 0.0, math.sin(2.0 * stamp_s)] for stamp_s in circuit().stamps_s]
+    truth = replace(circuit(), poses=circuit().poses + yaws)
+    write_carmen(tmp_path / "drive.log", recorded(truth))
+    write_tum(tmp_path / "karto.tum", replace(truth, poses=truth.poses * (1.0, -1.0, -1.0)))
+    cells = np.zeros((40, 60), np.int8)
+    cells[5] = OCCUPIED
+    save_map(OccupancyGrid(cells, CELL_M), tmp_path / "karto")
+    run = run_log(
+        tmp_path / "drive.log",
+        replace(RUN_DEFAULTS, run=replace(RUN_DEFAULTS.run, producers=("tinyslam",))),
+        saved_maps=[tmp_path / "karto.yaml"],
+        saved_paths=[CaseFile(tmp_path / "karto.tum")],
+    )
+    assert run.recommendation is not None
+    assert run.recommendation.path == "tinyslam"
+    assert "karto: the path is mirrored: negate its y and yaw" in run.sentences()
+    assert run.recommendation.laser_fault is None
 
 
 def test_a_path_that_cannot_be_used_is_told_and_the_map_votes(tmp_path: Path) -> None:
