@@ -254,10 +254,13 @@ def with_path(evidence: PathEvidence, name: str, path: Trajectory) -> PathEviden
 
 
 def _covered(name: str, path: Trajectory, scans: JudgedScans) -> tuple[F64, B8]:
-    """Return a path's pose at each scan; refuse one that has none."""
+    """Return a path's pose at each scan from its first to its last; refuse one that has none."""
     if not len(path):
         raise TrajectoryError(f"{name}: the path has no pose; give one with poses")
     poses, is_own = cover_stamps(path, scans)
+    # Beyond its ends the odometry would be judged in its place.
+    is_within = (scans.stamps_s >= path.stamps_s[0]) & (scans.stamps_s <= path.stamps_s[-1])
+    poses[~(is_within | is_own)] = np.nan
     if not np.isfinite(poses[:, 0]).any():
         raise no_common_time(name, path, scans.stamps_s)
     return poses, is_own

@@ -118,7 +118,7 @@ class RankedPath:
     own_poses_share: float
     """Share of the log's scans that the path itself has a pose for."""
     covered_share: float
-    """The same with poses that odometry carried on."""
+    """The same with the poses that odometry gives between them, from its first to its last."""
     faults: Sequence[str]
     """How the path contradicts the odometry, a sentence each; empty: it does not, or there is none.
     A path whose mirror image agrees with both scans and odometry is mirrored."""

@@ -77,6 +77,14 @@ def test_stamps_rounded_to_milliseconds_are_the_scans_own(scans: JudgedScans):
     assert cover_stamps(rounded, scans)[1].all()
 
 
+def test_beyond_its_ends_a_path_is_not_judged(device: ComputeDevice, scans: JudgedScans):
+    paths = {"full": TRUTH, "part": Trajectory(TRUTH.stamps_s[40:100], TRUTH.poses[40:100])}
+    evidence = score_paths(scans, paths, device)
+    assert np.flatnonzero(evidence.is_judged).tolist() == [*range(40, 100)]
+    found = evidence.compare("full", "part")
+    assert (found.verdict, found.difference) == ("cannot tell", 0.0)
+
+
 def test_a_sparse_path_is_judged_with_the_full_one(device: ComputeDevice, scans: JudgedScans):
     paths = {"full": TRUTH, "sparse": sparse(TRUTH, 6)}
     evidence = score_paths(scans, paths, device)
