@@ -107,6 +107,7 @@ def output(
 
 def main_output(parameter: str, metavar: str, text: str, files: paths.Files) -> Callable[[F], F]:
     """Return the required option ``-o`` of a command."""
+    text = f"{text} Existing files are replaced."
     return output(
         "-o", "--output", parameter, files=files, required=True, metavar=metavar, help=text
     )

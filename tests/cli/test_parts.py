@@ -61,6 +61,14 @@ def subcommands() -> list[click.Command]:
     return [leaf for command in leaves(cli) for leaf in leaves(command)]
 
 
+def test_the_help_of_every_required_output_says_that_it_replaces_files() -> None:
+    options = [option for command in subcommands() for option in command.params if option.required]
+    outputs = [option for option in options if "-o" in option.opts]
+    assert outputs
+    for option in outputs:
+        assert str(getattr(option, "help", "")).endswith("Existing files are replaced.")
+
+
 def test_the_list_of_commands_says_what_their_help_says() -> None:
     for command, (name, (_, summary)) in zip(leaves(cli), COMMANDS.items(), strict=True):
         assert (command.name, str(command.help).split("\n")[0]) == (name, summary)
