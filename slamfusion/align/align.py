@@ -118,16 +118,8 @@ def align_pair(
             the search is thorough, else none.
     """
     began = time.perf_counter()
-
-    def rejected(reason: str) -> Alignment:
-        still, moved = (features.grid.name for features in pair)
-        time_s = time.perf_counter() - began
-        return Alignment(moving=moved, reference=still, reason=reason, time_s=time_s)
-
-    for features in pair:
-        if not len(features.wall_points):
-            name = features.grid.name
-            return rejected(f"{name} has no occupied cell, so there is nothing to align")
+    if (empty := _without_walls(pair)) is not None:
+        return empty
 
     window = window_around(pair, config, start)
     near = f"within {start.reach} of the start" if isinstance(start, StartPose) else None
@@ -136,11 +128,13 @@ def align_pair(
         (height, width), (x, y, _) = pair.reference.shape, window.start
         reach = window.shift_cells + math.hypot(*pair.moving.shape) / 2.0
         if not (-reach <= x <= width + reach and -reach <= y <= height + reach):
-            return rejected(f"the maps do not meet {near}")
+            return _rejected(pair, f"the maps do not meet {near}", began)
 
     found = search_window(pair, config, window)
     if not len(found.motions):
-        return rejected("no fit inside the window; widen it" if near is None else f"no fit {near}")
+        return _rejected(
+            pair, "no fit inside the window; widen it" if near is None else f"no fit {near}", began
+        )
     expected = Pose2() if start is None and config.shared_frame else pose_of(start)
     if image_after is None:
         image_after = DECISIONS if thorough else ()
@@ -174,6 +168,23 @@ def track_pair(pair: Pair, start: Pose2, pairs: int = 1) -> Alignment:
             degrees.
     """
     began = time.perf_counter()
+    if (empty := _without_walls(pair)) is not None:
+        return empty
     motion = settle(pair, pair.motion_of(start)[None])
     found = SearchResult(motion, None, "tracked")
     return conclude(pair, AlignConfig(), found, start, pairs, began)
+
+
+def _without_walls(pair: Pair) -> Alignment | None:
+    """Return the rejection of a pair of which a map has no walls; None for another pair."""
+    for features in pair:
+        if not len(features.wall_points):
+            reason = f"{features.grid.name} has no occupied cell, so there is nothing to align"
+            return _rejected(pair, reason, time.perf_counter())
+    return None
+
+
+def _rejected(pair: Pair, reason: str, began: float) -> Alignment:
+    still, moved = (features.grid.name for features in pair)
+    time_s = time.perf_counter() - began
+    return Alignment(moving=moved, reference=still, reason=reason, time_s=time_s)

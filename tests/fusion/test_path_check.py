@@ -178,8 +178,10 @@ def test_a_map_that_walls_leave_open_is_placed_by_its_path(
 def test_without_walls_that_meet_no_path_places_a_map(device: ComputeDevice) -> None:
     grids, _ = producers()
     stranger = building(77, 8.0, 7.5).with_name("b")
-    with pytest.raises(AlignmentError, match="no two of the inputs"):
-        fuse_with_paths([grids[0], stranger], {"a": TRUE_PATH, "b": TRUE_PATH}, QUICK, 1.0, device)
+    empty = replace(stranger, cells=np.zeros_like(stranger.cells))
+    for other, reason in ((stranger, "no two of the inputs"), (empty, "b has no occupied cell")):
+        with pytest.raises(AlignmentError, match=reason):
+            fuse_with_paths([grids[0], other], {"a": TRUE_PATH, "b": TRUE_PATH}, QUICK, 1.0, device)
 
 
 def test_a_producer_that_is_lost_on_its_way_is_left_out_where_two_are_not() -> None:
