@@ -476,8 +476,9 @@ def _yaml_values(path: Path) -> dict[Any, Any]:
         values = read_yaml(path, MapFileError, "a map's YAML", as_text=True)
     except OSError as error:
         raise cannot_read(path, error) from None
-    if not isinstance(values, dict):
-        found = "nothing" if values in ("", None) else f"a {type(values).__name__}"
+    if not isinstance(values, dict) or not values.keys() & {*_KEYS}:
+        keys = [*values] if isinstance(values, dict) else values
+        found = _shown(keys) if keys else "nothing"
         raise MapFileError(
             f"{path}: wanted a mapping with image, resolution and origin, found {found}; "
             "give the map's YAML"

@@ -314,25 +314,28 @@ def test_swapped_thresholds_give_the_message_of_the_style_guide(tmp_path: Path) 
 
 
 @pytest.mark.parametrize(
-    "data",
+    ("data", "found"),
     [
-        b"",
-        b"just words",
-        b"- a\n- list\n",
-        b"image: [unclosed\n",
-        b"a: b: c",
-        b"\x00\x01\x02\xff\xfe binary",
-        b"image: \xff\xfe\n",
-        b"a: &x [*x]\n*x : 1\n",
-        b"[" * 5000,
-        b"a: 1\n" * 300_000,
-        b"!!python/object:os.system {}",
+        (b"", "found nothing; give"),
+        (b"just words", "found 'just words'; give"),
+        (b"- a\n- list\n", "found [a, list]; give"),
+        (b"services: {}\nx: 1\n", "found [services, x]; give"),
+        (b"image: [unclosed\n", ""),
+        (b"a: b: c", ""),
+        (b"\x00\x01\x02\xff\xfe binary", ""),
+        (b"image: \xff\xfe\n", ""),
+        (b"a: &x [*x]\n*x : 1\n", ""),
+        (b"[" * 5000, ""),
+        (b"a: 1\n" * 300_000, ""),
+        (b"!!python/object:os.system {}", ""),
     ],
 )
-def test_what_is_no_map_yaml_is_refused_in_one_line(tmp_path: Path, data: bytes) -> None:
+def test_what_is_no_map_yaml_is_refused_in_one_line(
+    tmp_path: Path, data: bytes, found: str
+) -> None:
     path = tmp_path / "map.yaml"
     path.write_bytes(data)
-    message = assert_refused(path, "map.yaml")
+    message = assert_refused(path, "map.yaml", found)
     assert len(message) < 1000
 
 
