@@ -15,7 +15,7 @@ import click
 
 from slamfusion.cli import paths
 from slamfusion.cli.help import Choice, Number, Setting
-from slamfusion.cli.output import Settings
+from slamfusion.cli.output import Settings, notice
 from slamfusion.config import (
     START_M,
     START_RAD,
@@ -242,6 +242,8 @@ def common(function: F) -> F:
     def wrapper(*args: Any, **values: Any) -> Any:
         context = click.get_current_context()
         paths.check_paths(context, {**context.params, **values})
+        if context.params.get("resolution") is not None and paths.has_only_yaml(context):
+            notice("--resolution is not used: each map has a YAML with its own resolution")
         context.ensure_object(Settings).results_path = values.pop("results_path", None)
         return function(*args, **values)
 

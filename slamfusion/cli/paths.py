@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib
 import os
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ import click
 from slamfusion.errors import SlamFusionError
 from slamfusion.io.files import refuse_overwriting
 from slamfusion.jobs.cases import CaseFile, case_names
-from slamfusion.jobs.inputs import check_writable, map_file
+from slamfusion.jobs.inputs import check_writable, is_yaml, map_file
 from slamfusion.jobs.outputs import STORE_END
 
 # Files of a path, kept by name among the values that the command was given.
@@ -91,21 +91,34 @@ def case_folders(folder: Path, files: Sequence[CaseFile]) -> list[Path]:
     return [folder] if len(files) < 2 else [folder / case for case in case_names(files)]
 
 
+def _given_paths(
+    context: click.Context, given: Mapping[str, Any]
+) -> Iterator[tuple[click.Parameter, InputPath, Path]]:
+    """Yield each path that a command was given, after its option and its kind."""
+    for option in context.command.params:
+        value = given.get(option.name or "")
+        for item in value if isinstance(value, tuple) else () if value is None else (value,):
+            if isinstance(option.type, InputPath):
+                yield option, option.type, item.path if isinstance(item, CaseFile) else item
+
+
+def has_only_yaml(context: click.Context) -> bool:
+    """Return whether there are maps among the inputs of a command, each with a YAML."""
+    given = _given_paths(context, context.params)
+    maps = [map_file(path) for _, kind, path in given if kind in {MAP, CASE_MAP}]
+    return bool(maps) and all(is_yaml(path) for path in maps)
+
+
 def check_paths(context: click.Context, given: Mapping[str, Any]) -> None:
     """Refuse outputs that replace inputs or other outputs, or cannot be written."""
     reads: list[tuple[Path, Path]] = []
     writes: list[tuple[str, Path]] = []
-    for option in context.command.params:
-        value = given.get(option.name or "")
-        for item in value if isinstance(value, tuple) else () if value is None else (value,):
-            path = item.path if isinstance(item, CaseFile) else item
-            if not isinstance(option.type, InputPath):
-                continue
-            files = option.type.files(path, given)
-            if isinstance(option.type, OutputPath):
-                writes += [(f"{option.opts[0]} {path}", file) for file in files]
-            else:
-                reads += [(path, file) for file in files]
+    for option, kind, path in _given_paths(context, given):
+        files = kind.files(path, given)
+        if isinstance(kind, OutputPath):
+            writes += [(f"{option.opts[0]} {path}", file) for file in files]
+        else:
+            reads += [(path, file) for file in files]
     if not writes:
         return
     try:

@@ -100,7 +100,7 @@ def load_maps(
     loaded = (
         load_map(
             file,
-            resolution=None if _is_yaml(file) else resolution,
+            resolution=None if is_yaml(file) else resolution,
             name=name,
             legacy_unknown=config.map_files.legacy_unknown,
             settle_edges=measured,
@@ -115,7 +115,7 @@ def map_file(path: Path) -> Path:
     """Return the fused or only map of a folder; other paths as given."""
     if not path.is_dir():
         return path
-    maps = [item for item in sorted(path.iterdir()) if _is_yaml(item)]
+    maps = [item for item in sorted(path.iterdir()) if is_yaml(item)]
     chosen = [item for item in maps if item.stem == FUSED] or maps
     if len(chosen) == 1:
         return chosen[0]
@@ -180,7 +180,7 @@ def distinct_names(paths: Sequence[Path]) -> list[str]:
     return names
 
 
-def _is_yaml(path: Path) -> bool:
+def is_yaml(path: Path) -> bool:
     """Whether the file has its own cell size, so that --resolution is meant for others."""
     return path.suffix.lower() in {".yaml", ".yml"}
 

@@ -64,3 +64,10 @@ def test_control_characters_in_a_name_stay_on_one_line(tmp_path: Path) -> None:
     done = run("align", TRUTH, tmp_path / "two\nlines\x1b[31m.yaml")
     assert_one_line_failure(done)
     assert "\x1b" not in done.stderr
+
+
+@pytest.mark.parametrize(("truth", "is_used"), [(TRUTH, False), (f"{TRUTH[:-4]}pgm", True)])
+def test_a_resolution_that_no_image_needs_is_named(truth: str, *, is_used: bool) -> None:
+    done = run("align", MAPS[0], truth, "--resolution", "0.05")
+    assert done.returncode == 0
+    assert ("--resolution is not used: each map has a YAML" in done.stderr) == (not is_used)
