@@ -10,7 +10,6 @@ from slamfusion.evidence.parting import path_spans
 from slamfusion.evidence.predictive import PathEvidence
 from slamfusion.evidence.recommendation import undecided
 from slamfusion.slam.common.odometry_check import LEAST_STEPS, contradictions
-from slamfusion.trajectory import Trajectory
 
 Condition: TypeAlias = Literal["odometry", "new place", "doubled walls", "undecided"]
 CONDITIONS: tuple[Condition, ...] = get_args(Condition)
