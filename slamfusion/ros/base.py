@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import faulthandler
 import hashlib
 import logging
 import math
@@ -52,6 +53,9 @@ FORWARD_JUMP_S = 10.0
 SPIN_S = 0.1
 # Freed memory is returned to the system at this interval, seconds; taking it again costs time.
 TRIM_S = 10.0
+# Fast DDS 2.14 sometimes waits for ever when a node ends while another does (Fast-DDS issue 6193 is
+# like it). After this time, seconds, the process ends with status 1.
+END_S = 10.0
 # Past events stay in the diagnostics this long, seconds.
 SHOWN_S = 10.0
 # A folder of ``slamfusion.sh`` for nodes that were started together, so that only one of them logs
@@ -510,7 +514,9 @@ def run_node(make: Callable[[], NodeBase], arguments: Sequence[str] | None = Non
             executor.remove_node(base.node)
             executor.shutdown()
             base.close()
+            faulthandler.dump_traceback_later(END_S, exit=True)
             base.node.destroy_node()
+            faulthandler.cancel_dump_traceback_later()
             for number, handler in before.items():
                 signal.signal(number, handler)
         return base.exit_code

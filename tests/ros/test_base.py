@@ -247,6 +247,29 @@ def test_a_bad_name_of_a_topic_is_one_line(words: tuple[str, ...], said: str):
     assert "\n" not in str(raised.value)
 
 
+STUCK = """
+import ctypes
+from slamfusion.ros import base
+class Stuck(base.NodeBase):
+    def __init__(self):
+        super().__init__("stuck")
+        self.is_stopped = True
+        # As a lock that Fast DDS never gets, with Python's own lock held.
+        self.node.destroy_node = lambda: ctypes.PyDLL(None).sleep(60)
+base.END_S = 0.5
+base.run_node(Stuck)
+"""
+
+
+@pytest.mark.usefixtures("domain")
+def test_a_node_that_the_middleware_does_not_let_go_ends_all_the_same() -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", STUCK], check=False, capture_output=True, text=True, timeout=50
+    )
+    assert done.returncode == 1
+    assert "in run_node" in done.stderr
+
+
 class Log:
     """Keeps warnings, as a logger of rclpy takes them."""
 
