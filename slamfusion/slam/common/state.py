@@ -93,8 +93,8 @@ class Rows(Stateful):
         self._count += 1
 
     def array(self) -> F64:
-        """Return a copy, (N, columns)."""
-        return self.table[: self._count].copy()
+        """Return the rows, (N, columns), without a copy: a row that was added stays as it is."""
+        return self.table[: self._count]
 
     def to_state(self) -> dict[str, Any]:
         """Return the rows."""

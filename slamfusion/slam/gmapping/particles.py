@@ -15,7 +15,6 @@ from slamfusion.compute.layout import MOST_BEAMS, PAIRS, TILE
 from slamfusion.geometry import (
     F64,
     I8,
-    I32,
     I64,
     U8,
     U32,
@@ -258,18 +257,21 @@ LEAST_SIGMAS = (1e-3, 1e-3, 1e-3)
 class ParticlePaths(Stateful):
     """The paths of N particles.
 
-    A node is a filter step: a pose of each particle and its parent in the node before. Of the first
-    nodes, where all particles have one ancestor, only its poses are kept. Scans between two nodes
-    are the same small motion for every particle, counted from the last node.
+    A node is a filter step: a pose of each particle. Where particles were resampled, each has a
+    parent in the node before. Of the first nodes, where all particles have one ancestor, only its
+    poses are kept. Scans between two nodes are the same small motion for every particle, counted
+    from the last node.
     """
 
-    STATE = ("_common", "_poses", "_parents", "_entropies", "_scans")
+    STATE = ("_common", "_poses", "_resampled", "_entropies", "_scans")
 
     def __init__(self, count: int) -> None:
         self._count = count
         self._common = Rows(3)
-        self._poses: list[F64] = []
-        self._parents: list[I32] = []
+        # Poses of the nodes since then, those of all particles in a row.
+        self._poses = Rows(3 * count)
+        # Each resampling: the node, counted from the first of all, and parents (N,) before it.
+        self._resampled: list[tuple[int, I64]] = []
         self._entropies = Rows(1)
         # Stamp, node, and motion since the node.
         self._scans = Rows(5)
@@ -277,17 +279,15 @@ class ParticlePaths(Stateful):
     @property
     def memory_bytes(self) -> int:
         """Bytes of nodes and scans."""
-        nodes = len(self._common) * 24 + len(self._poses) * self._count * 28
-        return nodes + len(self._scans) * 40
+        poses = len(self._common) + len(self._poses) * self._count
+        return poses * 24 + len(self._scans) * 40
 
     def add_node(self, poses: F64, parents: I64 | None) -> None:
         """Add a filter step with poses (N, 3) and parents (N,); None: each is its own parent."""
-        if parents is None:
-            parents = np.arange(self._count)
-        else:
-            self._join(parents)
-        self._poses.append(poses.copy())
-        self._parents.append(parents.astype(np.int32))
+        if parents is not None:
+            self._resampled.append((len(self._entropies), parents))
+            self._join()
+        self._poses.append(*poses.flat)
         self._entropies.append(_entropy(poses))
 
     def add_scan(self, stamp_s: float, moved: Pose2) -> None:
@@ -297,30 +297,33 @@ class ParticlePaths(Stateful):
     def path(self, index: int, name: str) -> Trajectory:
         """Return the path of a particle at every scan."""
         # Node -1, before the first, is the frame's origin.
-        own = self._line(index, len(self._poses))
-        at = np.concatenate((self._common.array(), own, np.zeros((1, 3))))
+        at = np.concatenate((self._common.array(), self._line(index), np.zeros((1, 3))))
         scans = self._scans.array()
         nodes = scans[:, 1].astype(np.int64)
         return Trajectory(scans[:, 0], compose_poses(at[nodes], scans[:, 2:]), name)
 
-    def _line(self, index: int, count: int) -> F64:
-        """Return the poses (count, 3) of the first nodes, up to a particle of the last of them."""
-        at = np.empty((count, 3))
-        for number in range(count - 1, -1, -1):
-            at[number] = self._poses[number][index]
-            index = int(self._parents[number][index])
-        return at
+    def _line(self, index: int) -> F64:
+        """Return the poses (K, 3) of a particle's ancestors in the nodes that are not common."""
+        ancestors = np.full(len(self._poses), index)
+        for node, parents in reversed(self._resampled):
+            index = int(parents[index])
+            ancestors[: node - len(self._common)] = index
+        poses = self._poses.array().reshape(-1, self._count, 3)
+        return np.asarray(poses[np.arange(len(ancestors)), ancestors])
 
-    def _join(self, parents: I64) -> None:
-        """Keep one pose of nodes where the parents (N,), in the last node, have one ancestor."""
-        ancestors = parents
-        for count in range(len(self._poses), 0, -1):
+    def _join(self) -> None:
+        """Keep one pose of nodes where the particles of the next node have one ancestor."""
+        ancestors = np.arange(self._count)
+        for at in range(len(self._resampled) - 1, -1, -1):
+            node, parents = self._resampled[at]
+            ancestors = parents[ancestors]
             if (ancestors == ancestors[0]).all():
-                for pose in self._line(int(ancestors[0]), count):
+                joined = node - len(self._common)
+                for pose in self._line(0)[:joined]:
                     self._common.append(*pose)
-                del self._poses[:count], self._parents[:count]
+                self._poses.restore({"rows": self._poses.array()[joined:]})
+                del self._resampled[: at + 1]
                 return
-            ancestors = self._parents[count - 1][ancestors].astype(np.int64)
 
     def entropy(self) -> float | None:
         """Return the mean over the nodes of the entropy of the particles there, in nats."""

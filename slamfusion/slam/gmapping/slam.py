@@ -71,7 +71,7 @@ class Gmapping(SavedMapper):
     """The filter behind the ``Mapper`` protocol."""
 
     name = "gmapping"
-    STATE_FORMAT = 9
+    STATE_FORMAT = 10
     STATE_KINDS = (FilterHealth, Particles)
     STATE = (
         "health",

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import sys
+from typing import Any
 
 import numpy as np
 import pytest
@@ -47,6 +49,30 @@ def test_nodes_before_the_last_common_ancestor_take_one_pose_each():
         joined.add_node(poses, np.full(30, number % 30))
         apart.add_node(poses, None)
     assert joined.memory_bytes < apart.memory_bytes / 20
+
+
+def test_a_path_is_not_read_node_by_node():
+    """After ten hours there are tens of thousands, and the ROS node reads its path every 2 s."""
+
+    def events_of(nodes: int) -> list[str]:
+        paths, events = ParticlePaths(2), list[str]()
+        for number in range(nodes):
+            paths.add_node(np.zeros((2, 3)), None)
+            paths.add_scan(0.1 * number, Pose2())
+
+        def note(*event: Any) -> Any:
+            events.append(event[1])
+            return note
+
+        before = sys.gettrace()
+        sys.settrace(note)
+        try:
+            paths.path(0, "")
+        finally:
+            sys.settrace(before)
+        return events
+
+    assert events_of(2000) == events_of(1000) != []
 
 
 # -- entropy ---------------------------------------------------------------------------------------
