@@ -20,7 +20,7 @@ from slamfusion.compute.layout import BEAM_ONE, MEAN_HALF, MOST_OBSERVATIONS, UN
 from slamfusion.config import CellModel, TinySlamConfig
 from slamfusion.errors import SlamFusionError
 from slamfusion.geometry import F64, I8, I32, U32, Pose2, corners, pose_of, row_of
-from slamfusion.grid import UNKNOWN, OccupancyGrid, row_parts
+from slamfusion.grid import UNKNOWN, OccupancyGrid
 from slamfusion.scan import LaserScan
 from slamfusion.slam.common.mapper import Health, Series, Step
 from slamfusion.slam.common.matcher import FieldMap, Match, PoseHypothesis
@@ -171,10 +171,7 @@ class TinySlam:
         """Return the published map; see ``Mapper.grid``."""
         if not self._mapped:
             raise SlamFusionError(f"{self.name}: no scan could be used, so there is no map")
-        states, first = self._map.cells("published")
-        percent = np.empty(states.shape, dtype=np.int8)
-        for rows in row_parts(states.shape):
-            percent[rows] = _percent(states[rows])
+        percent, first = self._map.made(_percent, np.int8, ("published",))
         return known_part(percent, self._anchor, first, self._config.resolution, self.name)
 
     def memory_bytes(self) -> int:
@@ -254,8 +251,9 @@ def _percent(states: U32) -> I8:
     The percent rises with the cell's mean: ``OCCUPIED_SHARE`` maps to 65 and half of it to 25, the
     limits of the map servers, so a wall that some beams grazed stays a wall.
     """
-    mean = (states >> 12).astype(np.float64) / (2 * MEAN_HALF)
+    percent = np.full(states.shape, UNKNOWN, dtype=np.int8)
+    is_seen = states & MOST_OBSERVATIONS != 0
+    mean = (states[is_seen] >> 12) / (2 * MEAN_HALF)
     limits = (0.0, FREE_SHARE * OCCUPIED_SHARE, OCCUPIED_SHARE, 1.0)
-    percent = np.rint(np.interp(mean, limits, PERCENTS)).astype(np.int8)
-    percent[states & MOST_OBSERVATIONS == 0] = UNKNOWN
+    percent[is_seen] = np.rint(np.interp(mean, limits, PERCENTS))
     return percent
