@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import copy
 import time
-from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 
@@ -18,7 +17,7 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
 from slamfusion.deskew import Deskewer, Deskewing
 from slamfusion.errors import SlamFusionError
-from slamfusion.geometry import F64, Pose2
+from slamfusion.geometry import F64, Pose2, row_of
 from slamfusion.grid import IDENTITY, OccupancyGrid
 from slamfusion.scan import LaserScan
 from slamfusion.slam.common.mapper import DrawsAside, Health, MapJob, Mapper
@@ -187,8 +186,8 @@ class ProducerSession:
         self._job: MapJob | None = None
         # What draws the maps of a generation.
         self._drawer: tuple[int, Callable[[MapJob], OccupancyGrid]] | None = None
-        # Rows of the last scans: stamp, then x, y and yaw of the pose and of the odometry.
-        self._moved: deque[tuple[float, ...]] = deque(maxlen=MOTIONS)
+        # Stamp, pose and odometry of the last scans, a row each.
+        self._moved: F64 = np.empty((0, 7))
 
     def begin_new_map(self) -> None:
         """Start a new map: scans queued from now on belong to it."""
@@ -227,7 +226,7 @@ class ProducerSession:
         if item.generation != self._producer_generation:
             self._producer = self._make()
             self._producer_generation, self._job = item.generation, None
-            self._moved.clear()
+            self._moved = self._moved[:0]
             self._change(fed_s=None, unmapped=0, is_settled=True, health=Health())
         fed_s = self.snapshot.fed_s
         if fed_s is not None and item.stamp_s <= fed_s:
@@ -259,9 +258,8 @@ class ProducerSession:
             latencies_s=(*before.latencies_s[1 - LATENCIES :], latency_s),
         )
         if odometry is not None:
-            poses = (step.pose_map_base, odometry)
-            own = (value for pose in poses for value in (pose.x, pose.y, pose.yaw_rad))
-            self._moved.append((item.stamp_s, *own))
+            row = (item.stamp_s, *row_of(step.pose_map_base), *row_of(odometry))
+            self._moved = np.vstack((self._moved[1 - MOTIONS :], row))
         unused = "" if step.used else f"scans are not used: {step.reason}"
         return Answer(step.pose_map_base, odometry, unused=unused)
 
@@ -302,7 +300,7 @@ class ProducerSession:
         """Say how the last poses contradict the odometry."""
         if len(self._moved) < 2:
             return ()
-        rows = np.array(self._moved)
+        rows = self._moved
         path, odometry = (Trajectory(rows[:, 0], rows[:, at : at + 3]) for at in (1, 4))
         return tuple(contradictions(odometry, path))
 

@@ -107,8 +107,9 @@ def _steps(odometry: Trajectory, path: Trajectory) -> F64:
     """Return steps of the odometry and of the path from one scan to a later one, (N, 2, 3)."""
     at, is_known = path.matches(odometry.stamps_s)
     both = np.stack((odometry.poses[is_known], path.poses[at[is_known]]), axis=1)
-    single = compose_poses(invert_poses(both[:-1]), both[1:])
-    moved = (np.hypot(single[..., 0], single[..., 1]) + np.abs(single[..., 2])).max(axis=1)
+    single = np.diff(both, axis=0)
+    turned = np.abs(wrap_angles(single[..., 2]))
+    moved = (np.hypot(single[..., 0], single[..., 1]) + turned).max(axis=1)
     whole = np.floor(np.cumsum(moved) / STEP)
     ends = np.flatnonzero(np.diff(whole, prepend=0.0) > 0) + 1
     starts = np.r_[0, ends[:-1]] if len(ends) else ends
