@@ -150,7 +150,7 @@ def print_evaluations(evaluations: Sequence[jobs.fuse_documents.Evaluation]) -> 
         f"Errors against {first.truth} (walls within {first.tolerance_m:g} m)",
     )
     for item in evaluations:
-        if item.mapped is not None:
+        if item.mapped is not None and item.aligned:
             print(
                 f"{item.name} has seen {item.mapped:.0%} of the walls of {item.truth}, at "
                 f"{item.resolution:.4g} m per pixel"

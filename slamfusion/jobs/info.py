@@ -200,6 +200,8 @@ def _log_info(path: Path, config: RunConfig, progress: Progress) -> InfoDocument
         run_time_s=OTHER_STAGES_S + max(free_s),
         run_memory_mb=RUN_MB,
     )
+    if not hits.any():
+        remarks.append("no beam of it hits anything: no SLAM can map it")
     remarks += [f"left out: {text}" for text in log.skips.sentences()]
     remarks += [f"odd: {text}" for text in log.warnings.sentences()]
     remarks += [*log.deskewing.sentences(), *log.notes]

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from slamfusion.io.images import encode_image
 from slamfusion.io.map_server import load_map
 from tests.cli.command import MAPS, SAMPLE, json_of, run, tree
 
@@ -56,3 +57,12 @@ def test_a_plan_serves_as_truth_before_its_scale_is_known(tmp_path: Path) -> Non
     assert "of the walls of truth, at 0.0" in fused.stdout
     # All maps are compared with a plan of one size.
     assert len(set(re.findall(r"at (\S+) m per pixel", fused.stdout))) == 1
+
+
+def test_of_a_plan_of_another_place_nothing_is_seen(tmp_path: Path) -> None:
+    cells = np.full((300, 300), 254, np.uint8)
+    cells[::30] = cells[:, 40:44] = 0
+    (tmp_path / "plan.pgm").write_bytes(encode_image(cells, "pgm"))
+    done = run("evaluate", MAPS[1], "--truth", tmp_path / "plan.pgm", *PLAN)
+    assert "not aligned: map_b: " in done.stderr
+    assert "has seen" not in done.stdout

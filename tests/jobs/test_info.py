@@ -6,6 +6,7 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from slamfusion.cli.program import run_program
@@ -40,6 +41,18 @@ def test_a_log_has_its_rate_its_gaps_and_its_odometry(tmp_path: Path) -> None:
     assert last is not None
     assert found.odometry_m is not None
     assert found.odometry_m > 0.0
+
+
+def test_a_log_without_a_hit_is_named(tmp_path: Path) -> None:
+    blind = [
+        replace(item, scan=replace(item.scan, ranges=np.full_like(item.scan.ranges, np.inf)))
+        for item in drive(20)[0]
+    ]
+    write_carmen(tmp_path / "drive.log", blind)
+    assert (
+        "no beam of it hits anything: no SLAM can map it"
+        in describe(tmp_path / "drive.log").remarks
+    )
 
 
 def test_stamps_out_of_order_are_counted(tmp_path: Path) -> None:
