@@ -257,7 +257,7 @@ def test_a_cut_off_bag_is_one_clear_line(tmp_path: Path, kind: str) -> None:
 def test_a_bag_whose_storage_is_missing_is_one_clear_line(tmp_path: Path) -> None:
     path = driven().scan(10.5).write(tmp_path)
     next(path.glob("*.mcap")).unlink()
-    with pytest.raises(LogError):
+    with pytest.raises(LogError, match="not a whole bag: a file of it is missing; copy all of it"):
         open_log(path)
 
 
@@ -575,6 +575,9 @@ def test_a_packed_file_that_is_cut_off_is_read_to_where_it_goes(tmp_path: Path) 
     data = path.read_bytes()
     path.write_bytes(data[: len(data) // 2])
     assert 1 <= len(list(open_log(path))) < 44
+    path.write_bytes(data[:20])
+    with pytest.raises(LogError, match="nothing of it can be unpacked"):
+        open_log(path)
 
 
 @pytest.mark.parametrize("kind", ["mcap", "sqlite3"])

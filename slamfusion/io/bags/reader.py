@@ -160,6 +160,8 @@ def open_bag(path: Path, notes: list[str]) -> Iterator[OpenBag]:
     try:
         with ExitStack() as stack:
             storages = [open_storage(file, stack) for file in _files(path, notes)]
+            if not storages:
+                raise FileNotFoundError  # noqa: TRY301
             is_cut_off = any(storage.is_cut_off for storage in storages)
             if is_cut_off and not any(storage.connections for storage in storages):
                 raise ValueError("no message in it is whole")  # noqa: TRY301

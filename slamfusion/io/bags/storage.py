@@ -229,7 +229,7 @@ def open_storage(path: Path, stack: ExitStack) -> Storage:
     """Open a storage file; a packed one is unpacked to a temporary folder."""
     _adapt_rosbags()
     with open_regular(path, LogError) as file:
-        head = file.peek(20)
+        head, empty = file.peek(20), "it is empty"
         if head.startswith(ZSTD_MAGIC):
             folder = stack.enter_context(TemporaryDirectory())
             path = Path(folder, path.stem)
@@ -237,10 +237,10 @@ def open_storage(path: Path, stack: ExitStack) -> Storage:
             with path.open("wb") as unpacked, suppress(EOFError, zstd.ZstdError):
                 shutil.copyfileobj(zstd.open(file, "rb"), unpacked)
             with path.open("rb") as inner:
-                head = inner.read(20)
+                head, empty = inner.read(20), "nothing of it can be unpacked"
     kind = next((kind for magic, kind in _KINDS.items() if head.startswith(magic)), None)
     if kind is None:
-        raise ValueError(f"it starts with {head[:8]!r}" if head else "it is empty")
+        raise ValueError(f"it starts with {head[:8]!r}" if head else empty)
     storage = kind(path)
     storage.open()
     stack.callback(storage.close)
