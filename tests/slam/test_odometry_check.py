@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -117,6 +118,10 @@ def test_only_the_mounting_of_the_laser_is_its_fault() -> None:
     assert laser_fault(PATH, PATH) is None
     assert laser_fault(course(length=0.8), PATH) is None
     assert laser_fault(None, PATH) is None
+    # Yaws of the wrong sign alone: no laser makes such a path.
+    turned = replace(PATH, poses=PATH.poses * (1.0, 1.0, -1.0))
+    assert laser_fault(PATH, turned) is None
+    assert "drives unlike the odometry" in "".join(contradictions(PATH, turned))
     assert laser_fault(in_degrees(course(seed=10)), course(seed=10)) is None
 
 

@@ -152,7 +152,7 @@ def contradictions(
             f"the path turns {turn:.2f} times as far as the odometry: check the distance "
             "between the wheels that the odometry assumes"
         )
-    if fit.length is not None and (fit.offset_rad is None or fit.drives_together < TOGETHER):
+    if _drives_unlike(fit):
         yield (
             f"the path drives unlike the odometry ({100 * fit.drives_together:.0f} % of the steps "
             "agree): the odometry is of another robot or drive, or tracking was lost; look at the "
@@ -172,11 +172,20 @@ def _turns_alike(fit: OdometryFit) -> bool:
     return fit.turn is not None and abs(fit.turn - 1.0) <= SCALE and fit.turns_together >= TOGETHER
 
 
+def _drives_unlike(fit: OdometryFit) -> bool:
+    return fit.length is not None and (fit.offset_rad is None or fit.drives_together < TOGETHER)
+
+
 def laser_fault(odometry: Trajectory | None, path: Trajectory | None) -> str | None:
     """Describe a laser that is mounted differently from the log; None if the paths show none."""
     if odometry is None or path is None:
         return None
-    return "; ".join(_laser_faults(fit_odometry(odometry, path))) or None
+    fit = fit_odometry(odometry, path)
+    # Of a robot that drives sideways, only the mirror image drives like the odometry.
+    image = replace(path, poses=path.poses * (1.0, -1.0, -1.0))
+    if _drives_unlike(fit) and _drives_unlike(fit_odometry(odometry, image)):
+        return None
+    return "; ".join(_laser_faults(fit)) or None
 
 
 def _laser_faults(fit: OdometryFit) -> Iterator[str]:
