@@ -10,12 +10,12 @@ from __future__ import annotations
 import difflib
 import sys
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import suppress
 from fnmatch import fnmatchcase
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, TypeVar
 
-import yaml
 from rcl_interfaces.msg import (
     FloatingPointRange,
     IntegerRange,
@@ -35,6 +35,7 @@ from slamfusion.config import (
     with_values,
 )
 from slamfusion.errors import ConfigError, SlamFusionError
+from slamfusion.io.yaml_file import read_yaml
 from slamfusion.ros.interface import START_TEXT, NameList
 
 T = TypeVar("T")
@@ -251,7 +252,9 @@ def missed_sections(node: Any, arguments: Sequence[str]) -> list[str]:
     for option, file in pairwise(arguments):
         if option != "--params-file":
             continue
-        sections = list(_sections(yaml.safe_load(Path(file).read_text(encoding="utf-8"))))
+        sections: list[str] = []
+        with suppress(SlamFusionError, OSError):  # ROS has read it, and forgives more
+            sections += _sections(read_yaml(Path(file), ConfigError, "parameters", as_text=True))
         if any(fnmatchcase(own, name.replace("/**", "*")) for name in sections):
             continue
         last = {name: name.rpartition("/")[2] for name in sections}

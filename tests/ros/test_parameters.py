@@ -159,6 +159,7 @@ def test_a_change_is_checked_and_told(make_node: MakeNode):
         ("/robot1/drawn0", "'/robot1/drawn0'"),
         ("robot1: {drawn0", "'/robot1/drawn0'"),
         ("amcl", ""),
+        ("draw: {}\ndraw", ""),
         ("drawn0", ""),
         ("/**", ""),
         ("/**/drawn0", ""),
