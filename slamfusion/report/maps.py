@@ -68,10 +68,13 @@ def map_picture(
 
     Args:
         box: cells to show; default: what is known, with a small margin.
-        outvoted: (H, W) bool, cells that are marked.
+        outvoted: (H, W) bool, cells that are marked. In a block of cells that is one pixel a wall
+            that was not outvoted shows: one cell of its edge would mark the whole wall.
     """
-    codes = cells if outvoted is None else np.where(outvoted, np.int8(2), cells)
-    colours = (palette.UNKNOWN_RGB, palette.FREE_RGB, palette.WALL_RGB, palette.DISAGREEMENT_RGB)
+    codes = np.where(cells == 1, np.int8(2), cells)
+    if outvoted is not None:
+        codes[outvoted] = 1
+    colours = (palette.UNKNOWN_RGB, palette.FREE_RGB, palette.DISAGREEMENT_RGB, palette.WALL_RGB)
     return _codes_figure(codes, colours, resolution, origin, box)
 
 

@@ -10,7 +10,8 @@ import pytest
 
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
-from slamfusion.palette import DISAGREEMENT_RGB, colours_of
+from slamfusion.palette import DISAGREEMENT_RGB as RED
+from slamfusion.palette import colours_of
 from slamfusion.report import maps as plots
 from tests.report.drawn import centre, pixels
 
@@ -62,9 +63,19 @@ def test_outvoted_cells_are_drawn_over_the_map() -> None:
     dissent = np.zeros((30, 30), dtype=np.bool_)
     dissent[20:25, 20:25] = True
     image = pixels(plots.map_picture(fused, 0.1, Pose2(), outvoted=dissent))
-    x, y = centre(image, DISAGREEMENT_RGB, 0)
+    x, y = centre(image, RED, 0)
     assert x > 0.5
     assert y < 0.5
+
+
+def test_in_a_small_picture_of_a_large_map_only_whole_outvoted_walls_are_marked() -> None:
+    cells, dissent = np.zeros((1600, 1600), dtype=np.int8), np.zeros((1600, 1600), dtype=np.bool_)
+    cells[:, 300:303] = cells[:, 1200:1203] = 1
+    dissent[::2, 300:303] = dissent[:, 1200:1203] = True
+    image = pixels(plots.map_picture(cells, 0.05, Pose2(), outvoted=dissent))
+    row = image[len(image) // 2]
+    columns = [np.flatnonzero((row == rgb).all(axis=1)) for rgb in (WALL, RED)]
+    assert columns[0].max() < len(row) / 2 < columns[1].min()
 
 
 @pytest.mark.parametrize("shape", [(700, 760), (760, 100), (1500, 1400), (4000, 500)])
