@@ -175,16 +175,24 @@ class FusionInputs:
         patterns = [part if part[0] == "/" else space + part for part in settings.patterns]
         known = {*self._topics(self.entries), *self._unwanted}
         known |= {self._base.resolved(name) for name in self._outputs}
-        # Relative names: robots are called by their own namespaces.
-        found = [
-            topic.removeprefix(space)
+        published = [
+            topic
             for topic, types in sorted(node.get_topic_names_and_types())
             if MAP_TYPE in types
             and topic not in known
-            and any(fits(topic, pattern) for pattern in patterns)
             and not any(topic.endswith(f"/{name}") for name in self._outputs)
             and node.count_publishers(topic)
         ]
+        # Relative names: robots are called by their own namespaces.
+        found = [
+            topic.removeprefix(space)
+            for topic in published
+            if any(fits(topic, pattern) for pattern in patterns)
+        ]
+        missed = None
+        if published and not (found or self.entries):
+            missed = f"no map fits discover, {settings.discover}; published: {', '.join(published)}"
+        self._base.diagnostics.say("discover", missed)
         room = MOST_INPUTS - len(self.entries)
         if found[room:]:
             text = (

@@ -239,6 +239,22 @@ def test_what_finds_no_room_is_named_and_the_others_are_fused(observer: Observer
     base.node.destroy_node()
 
 
+def test_if_no_map_fits_the_pattern_those_that_are_published_are_named(observer: Observer) -> None:
+    base, inputs = fusion_inputs(observer)
+    observer.publisher(OccupancyGrid, "robot1/graph/map", qos.MAP)
+    wanted = "no map fits discover, */map; published: /robot1/graph/map"
+    for pattern, said in (("*/map", wanted), ("*/graph/map", "ok")):
+        settings = FusionNodeConfig(discover=pattern, discovery_rate_hz=10.0)
+
+        def is_said(settings: FusionNodeConfig = settings, said: str = said) -> bool:
+            inputs.discover(settings)
+            return base.diagnostics.worst()[1] == said
+
+        observer.wait(is_said, 20.0, said)
+    assert [*inputs.entries.values()] == ["robot1/graph/map"]
+    base.node.destroy_node()
+
+
 def test_a_topic_that_carries_no_maps_is_refused(observer: Observer) -> None:
     base, inputs = fusion_inputs(observer, "a/map")
     base.subscribe(LaserScan, "scan", print, qos.SENSOR)
