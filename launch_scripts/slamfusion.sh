@@ -6,8 +6,8 @@
 #               [-- ROS ARGUMENTS FOR EVERY NODE]
 #
 #   LOG               play a log or bag (also: --log LOG); at its end everything ends, and DIR has
-#                     the fused map, those of the producers and a report; after Ctrl-C before its
-#                     end the maps so far
+#                     the fused map, those of the producers, and a report in which these are fused
+#                     once more (fused_again); after Ctrl-C before its end the maps so far
 #   -o DIR            default: out/live
 #   --rate X          play X times as fast as recorded
 #   --lockstep        play as fast as every producer can follow
@@ -234,8 +234,9 @@ saved=()
 for name in $producers; do
     ! is_new "$out/$name.yaml" || saved+=("$out/$name.yaml")
 done
+# What the commands print would name their own map; the report has it too.
 report() {
-    "$slamfusion" "$@" --report "$out/report" &
+    "$slamfusion" "$@" --report "$out/report" >/dev/null &
     pid=([report]=$!)
     wait "${pid[report]}"
 }
