@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Simulate a robot that drives over a cable, map the drive with three SLAMs side by side, and fuse
-# their maps; maps and report go to out/demo. Options go to `slamfusion run`.
+# Simulate a robot that drives over a cable, map the drive with three SLAMs side by side, and draw
+# the map at their fused path; maps and report go to out/demo. Options go to `slamfusion run`.
 # demo.sh --page: the same drive live, with nodes, to be watched in the browser.
 set -euo pipefail
 # shellcheck source=launch_scripts/setup.sh
@@ -22,7 +22,7 @@ if [ "${1:-}" = --page ]; then
     exec "$root/launch_scripts/slamfusion.sh" "$out/drive/f16.log.gz" --page -o "$out/live" "$@"
 fi
 
-say "three SLAMs on it side by side, and the vote of their maps"
+say "three SLAMs on it side by side, and the map drawn from all scans at their fused path"
 "$root/.venv/bin/slamfusion" run "$out/drive/f16.log.gz" \
     --truth "$out/drive/truth.yaml" --truth-trajectory "$out/drive/truth.tum" \
     -o "$out" "$@"

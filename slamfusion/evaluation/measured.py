@@ -247,9 +247,9 @@ class PathErrors:
             if (dense := self.odometry) is not None:
                 total = dense.poses_used + dense.poses_without_row
                 how = (
-                    f"poses carried on by {dense.rows} rows of odometry; rows of the poses found "
-                    f"by {dense.rows_found_by}, {dense.poses_without_row} of {total} poses "
-                    "without one"
+                    f"poses carried on by {dense.rows} rows of odometry; the row of each pose is "
+                    f"found by its {dense.rows_found_by}, {dense.poses_without_row} of {total} "
+                    "poses have none"
                 )
             notes.append(f"{known.relations_used} of {known.relations_total} relations used, {how}")
         if (scans := self.at_scans) is not None:
