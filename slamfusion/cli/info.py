@@ -30,8 +30,9 @@ UNITS = {"s": "s", "m": "m", "m2": "m2", "hz": "Hz", "deg": "deg", "percent": "%
 def command(path: Path, resolution: float | None, config: RunConfig) -> None:
     """Describe a log, a bag, a map or a run.
 
-    Shows duration, scans, laser, odometry and topics of a log or bag, size and area of a map, and
-    the recommendation of a run; then what is odd, and what to do.
+    Shows duration, scans, laser, odometry and topics of a log or bag, and the time and memory that
+    `run` will take for it; size and area of a map; the recommendation of a run. Then what is odd,
+    and what to do.
     """
     with progress_bar() as progress:
         found = jobs.info.describe(path, config, progress, resolution=resolution)
