@@ -18,7 +18,7 @@ from slamfusion.io.log import FARTHEST_M
 from slamfusion.io.stamps import Passed, StampGate
 from slamfusion.io.transforms import Mount, TransformError
 from slamfusion.ros import messages, qos
-from slamfusion.ros.base import FORWARD_JUMP_S, Level, NodeBase, jump_words
+from slamfusion.ros.base import FORWARD_JUMP_S, SHOWN_S, Level, NodeBase, jump_words
 from slamfusion.ros.frames import TransformInput, TransformStore
 from slamfusion.scan import LaserScan as Scan
 from slamfusion.slam.session import LeftOutError
@@ -178,7 +178,8 @@ class ScanInput:
         except TransformError as error:
             if rows:
                 text = f"scans are not deskewed, for their odometry ends within the sweep: {error}"
-                self._base.diagnostics.note("sweep", text)
+                # Not of a log's last scan alone, after which no odometry comes.
+                self._base.diagnostics.say("sweep", text, for_s=SHOWN_S, after_s=ODOMETRY_ALIVE_S)
                 return np.array(rows)
             does = "are left out" if is_first else "are matched without it"
             source = f"the topic {self._base.resolved(ODOM_TOPIC)!r}"
@@ -191,6 +192,8 @@ class ScanInput:
             self._base.diagnostics.say("odometry", text)
             return None
         self._base.diagnostics.clear("odometry")
+        if len(rows) > 1:
+            self._base.diagnostics.clear("sweep")
         return np.array(rows)
 
     def _wait_s(self, scan: ArrivedScan, store: TransformStore) -> float:

@@ -418,7 +418,7 @@ def test_scans_of_a_turning_lidar_are_deskewed_and_counted(
 ):
     log = tmp_path / "turning.log"
     write_carmen(log, sweeps(COUNT))
-    processes.node("tinyslam")
+    node = processes.node("tinyslam")
     observer.wait(lambda: observer.node.count_publishers("tinyslam/pose"), what="the producer")
     player = processes.node("player", file=str(log), lockstep=True, wait_for=["tinyslam"])
     assert player.wait() == 0
@@ -433,6 +433,7 @@ def test_scans_of_a_turning_lidar_are_deskewed_and_counted(
     # Nothing says how the robot moves after the last scan.
     assert int(figures["scans deskewed"]) >= COUNT - 5
     assert int(figures["scans not deskewed"]) <= 1
+    assert "not deskewed" not in node.text()
     assert float(figures["sweep [ms]"]) == pytest.approx(199.4, abs=0.5)
 
 
