@@ -60,8 +60,8 @@ def unusable(grid: OccupancyGrid, thresholds: NormalizeConfig) -> str | None:
         known, to_free = grid.cells.size, steps
     if to_free < max(WALLS_MIN, EDGE_MIN * walls):
         return (
-            f"says nothing of a place: hardly any of its {walls} occupied cells lies next to "
-            "another cell; is it all occupied?"
+            f"says nothing of a place: only {to_free} sides of its {walls} occupied cells border "
+            "on other cells; too few walls yet, or is it all occupied?"
         )
     if to_free > STEPS_MAX * known:
         return (
