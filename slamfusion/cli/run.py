@@ -196,6 +196,7 @@ def command(
             )
             progress(REPORT, 0, 1)
             run = jobs.run_files.save_run(run, out, probabilities=probabilities)
+            progress(jobs.run.WHOLE, 1, 1)
     rows = jobs.run_many.run_rows(run, case_of(logs[0])) if output.settings().results_path else []
     results.save_results(run, rows, lambda: _inputs(logs, asked))
     _print(run)

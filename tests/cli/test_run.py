@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import gzip
+import io
+import re
 import shutil
 from pathlib import Path
 from typing import Any
@@ -10,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from slamfusion.cli.program import run_program
 from slamfusion.io import load_map
 from tests.cli.command import assert_one_line_failure, json_of, run, tree
 from tests.cli.run_folder import MAPS_OF_FUSION, files_of, outputs
@@ -116,6 +119,18 @@ def test_a_run_that_fuses_nothing_leaves_the_earlier_results(
     assert "Nothing was fused" in html
     shown = {path.name for path in (out / "failed" / "report").glob("*.png")}
     assert len(shown) == html.count("<img ")
+
+
+@pytest.mark.full
+def test_the_bar_of_the_whole_run_ends_at_100_percent(
+    place: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    terminal = io.StringIO()
+    monkeypatch.setattr(terminal, "isatty", lambda: True)
+    monkeypatch.setattr("sys.stderr", terminal)
+    assert run_program(["run", str(place / "flat.log"), "-o", str(tmp_path), *TWO]) == 0
+    shown = re.sub(r"\x1b\[[\d;?]*[a-zA-Z]", "", terminal.getvalue())
+    assert re.findall(r"whole run\D*(\d+) %", shown)[-1] == "100"
 
 
 @pytest.mark.parametrize(
