@@ -1,11 +1,13 @@
 """Predictive consistency: how well a path's map of other times predicts what each scan saw.
 
-Each judged hit has a likelihood under the map of all chunks except its own and the two next to it,
-drawn by the scored path; the score of a path is the mean log-likelihood of a hit. A logarithmic
-score is proper [1]: a wrong path gains nothing in expectation. Unseen places have a fixed price, so
-a path that misses a revisit pays for each hit there. Unlike the entropy of a map [2] or counts of
-its corners and enclosed places [3] it predicts readings that were not drawn, so a torn map cannot
-look crisp by showing everything twice.
+Each judged beam has a likelihood under the map of all chunks except its own and the two next to it,
+drawn by the scored path: that it hits something where it did, and that it passes one place on its
+way. The score of a path is the mean log-likelihood of a judged beam. A logarithmic score is
+proper [1]: a wrong path gains nothing in expectation. Unseen places have a fixed price, so a path
+that misses a revisit pays for each hit there; and one that draws walls everywhere, as a path that
+stands still does, for what its beams pass. Unlike the entropy of a map [2] or counts of its corners
+and enclosed places [3] it predicts readings that were not drawn, so a torn map cannot look crisp by
+showing everything twice.
 
 Source: [1] Gneiting and Raftery, Strictly proper scoring rules, prediction, and estimation, JASA
 102(477), 2007, sections 4.1 and 7.1 (cross-validated logarithmic score). [2] Droeschel and Behnke,
@@ -115,6 +117,9 @@ MOST_PAGES = 1 << 24
 CELL_M, SPREAD_CELLS, STRAY, UNKNOWN = 0.05, 1.0, 0.03, 0.35
 # Range in which walls are searched, cells; and distance of a hit from a wall in a seen place.
 REACH_CELLS, KNOWN_CELLS = 4, 2.0
+# How far from a hit a beam passes nothing for sure, metres: walls are thick, and seen at an angle.
+# The place on its way differs from beam to beam, by the golden ratio.
+PASSING_M, GOLDEN = 0.5, 0.5 * (np.sqrt(5.0) - 1.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -287,6 +292,7 @@ def _score(
     poses, is_own = covered
     drawn = DrawnChunks.of(name, poses, scans, is_judged, device)
     likelihoods, is_seen = drawn.look_up()
+    likelihoods += drawn.passing()
     count = len(scans)
     return PathScore(
         poses=poses,
@@ -386,27 +392,47 @@ class DrawnChunks:
         if moved_m is not None:
             beams = beams.copy()
             beams[:, :2] += np.rint(moved_m * (BEAM_ONE / CELL_M)).astype(np.int32)
-        left_out = ~among[self.chunks[picked]]
+        chunks, facings = self.chunks[picked], self.facings[picked]
+        return log_likelihoods(self._nearest(beams, facings, among[chunks], self.reach_cells))
+
+    def passing(self) -> F64:
+        """Return how likely beams pass a place on their way, (B,) log-likelihoods; short ones 0.
+
+        Only a wall that faces the laser would stop them there.
+        """
+        way = (self.beams[:, 2:] - self.beams[:, :2]).astype(np.float64)
+        free = 1.0 - PASSING_M / CELL_M * BEAM_ONE / np.maximum(np.hypot(*way.T), 1.0)
+        back = 1.0 - free * (np.arange(len(way)) * GOLDEN % 1.0)
+        beams = self.beams.copy()
+        beams[:, :2] += np.rint(back[:, None] * way).astype(np.int32)
+        turned = np.arctan2(way[:, 1], way[:, 0]) * FACINGS / (2.0 * np.pi)
+        facings = np.rint(turned).astype(np.int32) % FACINGS
+        found = self._nearest(beams, facings, OTHERS[self.chunks], 0)
+        return np.where(free > 0.0, np.log(1.0 - (1.0 - STRAY) * _nearness(found)), 0.0)
+
+    def _nearest(self, beams: I32, facings: I32, among: U32, reach_cells: int) -> I32:
+        """Return the nearest marks of the chunks ``among`` (B,) at the ends of beams."""
         upload = self.device.upload
-        return log_likelihoods(
-            self.device.nearest_marks(
-                self.hits,
-                self.seen,
-                self.table,
-                upload(beams),
-                upload(self.facings[picked]),
-                upload(left_out),
-                self.reach_cells,
-            )
+        return self.device.nearest_marks(
+            self.hits,
+            self.seen,
+            self.table,
+            upload(beams),
+            upload(facings),
+            upload(~among),
+            reach_cells,
         )
 
 
 def log_likelihoods(found: I32) -> tuple[F64, B8]:
     """Return log-likelihoods, (B,), of what ``nearest_marks`` found, and whether it was seen."""
-    has_wall = found[:, 0] >= 0
-    squared = np.where(has_wall, found[:, 0], 0) / float(BEAM_ONE) ** 2
-    # A wall out of reach explains nothing.
-    near = np.where(has_wall, np.exp(-0.5 * squared / SPREAD_CELLS**2), 0.0)
-    is_seen = (found[:, 1] != 0) | (has_wall & (squared <= KNOWN_CELLS**2))
-    explained = np.log((1.0 - STRAY) * near + STRAY)
+    is_wall = (found[:, 0] >= 0) & (found[:, 0] <= (KNOWN_CELLS * BEAM_ONE) ** 2)
+    is_seen = (found[:, 1] != 0) | is_wall
+    explained = np.log((1.0 - STRAY) * _nearness(found) + STRAY)
     return np.where(is_seen, explained, np.log(UNKNOWN)), is_seen
+
+
+def _nearness(found: I32) -> F64:
+    """Return how near each place is to a wall, (B,): 1 on it, 0 where none is within reach."""
+    squared = np.where(found[:, 0] >= 0, found[:, 0] / float(BEAM_ONE) ** 2, np.inf)
+    return np.asarray(np.exp(-0.5 * squared / SPREAD_CELLS**2))

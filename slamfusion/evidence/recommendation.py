@@ -95,7 +95,8 @@ class RankedPath:
     name: str
     """The path."""
     consistency: float
-    """Mean log-likelihood of a hit under what other scans drew by the path; larger is better."""
+    """Mean log-likelihood of a hit, and of its beam's way, under what other scans drew by the path;
+    larger is better."""
     tied: bool
     """Whether it is the recommended path, or cannot be told apart from it."""
     behind: float

@@ -70,6 +70,9 @@ WRONG: dict[str, Callable[[Trajectory], Trajectory]] = {
     "last 7 % shifted by 2 m": lambda path: moved_from(path, 0.93, (0.0, 2.0, 0.0)),
     "turned by 10 degrees half-way": lambda path: moved_from(path, 0.5, (0, 0, math.radians(10))),
     "drifted by 5 %": lambda path: drifted(path, 0.05),
+    "standing still from a quarter on": lambda path: Trajectory(
+        path.stamps_s, path.poses[np.arange(len(path)).clip(max=len(path) // 4)]
+    ),
 }
 
 

@@ -23,6 +23,7 @@ WRONG = {
     "shifted at the end": moved(TRUTH, (2.0, 0.0, 0.0), 134),
     "turned half-way": bent(TRUTH, math.radians(10.0), 72),
     "drifted": Trajectory(TRUTH.stamps_s, TRUTH.poses * [1.05, 1.05, 1.0], "drifted"),
+    "still": Trajectory(TRUTH.stamps_s, np.tile(TRUTH.poses[0], (len(TRUTH), 1)), "still"),
 }
 
 
