@@ -72,5 +72,6 @@ def test_self_test_names_a_wrong_kernel(monkeypatch: pytest.MonkeyPatch):
     assert self_test(wrong) == [
         ("pose_scores", False, "3 values differ from its NumPy twin"),
         ("warp", False, "no memory"),
+        ("piece_sums", True, "equals its NumPy twin"),
         ("vote_majority", True, "equals its NumPy twin"),
     ]
