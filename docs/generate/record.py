@@ -35,6 +35,14 @@ LOG, RELATIONS = f"{CSAIL}.clf.gz", f"{CSAIL}.relations"
 REFERENCE = f"{CSAIL}-reference-graph.log.gz"
 INTEL_RELATIONS, INTEL_ODOMETRY = f"{INTEL}.relations", f"{INTEL}-odometry-13631.txt.gz"
 INTEL_LOGS = (f"{INTEL}-910-raw.log.gz", f"{INTEL}-2726-raw.log.gz")
+FR079 = "{datasets}/fr079/fr079"
+FR079_LOG, FR079_ODOMETRY = f"{FR079}-4751-reconstructed.log.gz", f"{FR079}-odometry-4934.txt.gz"
+# Logs with their relations, and the odometry between these.
+RUNS = (
+    f"{LOG} --relations {RELATIONS}",
+    *(f"{log} --relations {INTEL_RELATIONS} --odometry {INTEL_ODOMETRY}" for log in INTEL_LOGS),
+    f"{FR079_LOG} --relations {FR079}.relations --odometry {FR079_ODOMETRY}",
+)
 MODEL_LOGS = f"--log {LOG}:{RELATIONS} --log {INTEL_LOGS[1]}:{INTEL_RELATIONS}:{INTEL_ODOMETRY}"
 ESTIMATOR_LOG = f"--log {LOG} --relations {RELATIONS} --reference {REFERENCE}"
 
@@ -73,14 +81,7 @@ RECIPES = {
         (f"experiment occupancy-estimator {ESTIMATOR_LOG} -o {{out}}",), tables.repeated_runs
     ),
     "fused-path-recordings": Recipe(
-        (
-            f"run {LOG} --relations {RELATIONS} -o {{out}}",
-            *(
-                f"run {log} --relations {INTEL_RELATIONS} --odometry {INTEL_ODOMETRY} -o {{out}}"
-                for log in INTEL_LOGS
-            ),
-        ),
-        tables.fused_path,
+        tuple(f"run {given} -o {{out}}" for given in RUNS), tables.fused_path
     ),
 }
 
@@ -96,9 +97,8 @@ def main(words: Sequence[str] | None = None) -> None:
         _end("--document, --commit and --date belong together: a document does not say these two")
     needs_datasets = any("{datasets}" in command for command in recipe.commands)
     if needs_datasets and not (options.document or options.datasets):
-        _end(
-            f"{options.name} is of recorded drives: wanted --datasets DIR, with mit-csail/, intel/"
-        )
+        folders = "mit-csail/, intel/, fr079/"
+        _end(f"{options.name} is of recorded drives: wanted --datasets DIR, with {folders}")
     if options.document:
         documents = [_read(path) for path in options.document]
         note = "Made of documents that its commands had written."
