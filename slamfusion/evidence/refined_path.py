@@ -38,13 +38,13 @@ from typing import Literal, TypeAlias
 import numpy as np
 import scipy
 
-from slamfusion.evidence.beams import JudgedScans, cover_stamps
+from slamfusion.evidence.beams import JudgedScans, carried_along, cover_stamps
 from slamfusion.evidence.displacement import find_contradiction, moved_together
 from slamfusion.evidence.known_motions import KnownMotions, MotionEquations
 from slamfusion.evidence.patches import LATTICES, Patches, SurfaceHits, line_inverses, line_sums
 from slamfusion.evidence.path_frames import laid_onto
 from slamfusion.evidence.predictive import SURE, Comparison, PathEvidence, compare_sums, with_path
-from slamfusion.geometry import F64, compose_poses, invert_poses, wrap_angles
+from slamfusion.geometry import F64, wrap_angles
 from slamfusion.json_values import FLAT
 from slamfusion.trajectory import Trajectory
 
@@ -57,7 +57,7 @@ def refine_path(scans: JudgedScans, path: Trajectory) -> Trajectory:
     """Return a path that aligns the scans of a drive with each other.
 
     Walls that ``path`` draws further apart than ``REACH_M`` stay so. Poses between scans move with
-    the nearest scan. A path with fewer than two scans, or without surfaces, is returned unchanged.
+    those around them. A path with fewer than two scans, or without surfaces, is returned unchanged.
     """
     given, is_own = cover_stamps(path, scans)
     kept = np.flatnonzero(is_own)
@@ -82,14 +82,8 @@ def refine_path(scans: JudgedScans, path: Trajectory) -> Trajectory:
             moved += off
     # Weakly determined poses depend on the lattice, so the mean counts.
     poses = before + moved / LATTICES
-    return carried_along(path, scans.stamps_s[kept], before, poses)
-
-
-def carried_along(path: Trajectory, stamps_s: F64, before: F64, poses: F64) -> Trajectory:
-    """Return a path whose poses move with the nearest of (N, 3) scans, N at least 1."""
-    near = Trajectory(stamps_s, before, path.name).nearest(path.stamps_s)
-    beside = compose_poses(invert_poses(before[near]), path.poses)
-    return Trajectory(path.stamps_s, compose_poses(poses[near], beside), path.name)
+    laid = Trajectory(scans.stamps_s[kept], poses)
+    return replace(path, poses=carried_along(laid, path, path.stamps_s))
 
 
 def _step(
@@ -243,7 +237,8 @@ def _from_odometry(
     if scans.driven is None or len(kept) < 2:
         return None
     poses = laid_onto(scans.driven.poses[kept], given[kept])
-    wheels = carried_along(path, scans.stamps_s[kept], given[kept], poses)
+    laid = Trajectory(scans.stamps_s[kept], poses)
+    wheels = replace(path, poses=carried_along(laid, path, path.stamps_s))
     told = with_path(evidence, _REFINED, wheels).scores[_REFINED].consistency
     if told < score.consistency - NEAR:
         return None
