@@ -160,8 +160,8 @@ class GridFeatures:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle as the map alone, compressed to about a tenth; its fields are computed again."""
-        is_small = math.prod(self.shape) <= KEPT_CELLS
-        return _from_packed, (self._packed, self.device, is_small)
+        make = _unpacked_once if math.prod(self.shape) <= KEPT_CELLS else _unpacked
+        return make, (self._packed, self.device)
 
     @cached_property
     def _packed(self) -> bytes:
@@ -361,17 +361,18 @@ class GridFeatures:
         return table, self.device.score_field(level.distance2, level.free, table.worths, table.base)
 
 
-def _from_packed(packed: bytes, device: ComputeDevice, is_small: bool) -> GridFeatures:  # noqa: FBT001 - by pickle
-    """Return a map in another process; small ones are kept for their next pairs."""
-    return (_unpacked if is_small else _unpacked.__wrapped__)(packed, device)
-
-
-@lru_cache(maxsize=16)
 def _unpacked(packed: bytes, device: ComputeDevice) -> GridFeatures:
+    """Return a map in another process."""
     grid: NormalizedGrid = pickle.loads(zlib.decompress(packed))  # noqa: S301 - our own
     for array in (grid.cells, grid.solid):
         array.flags.writeable = False
     return GridFeatures(grid, device)
+
+
+@lru_cache(maxsize=16)
+def _unpacked_once(packed: bytes, device: ComputeDevice) -> GridFeatures:
+    """Return a small map in another process, where it is kept for its next pairs."""
+    return _unpacked(packed, device)
 
 
 def _set_cells(mask: U8) -> npt.NDArray[np.intp]:
