@@ -102,6 +102,10 @@ class Trajectory:
         """Return the same path in another frame; ``transform`` maps points into it, metres."""
         return replace(self, poses=moved_poses(transform, self.poses))
 
+    def mirrored(self) -> Trajectory:
+        """Return the mirror image of the path, about the x axis of its frame."""
+        return replace(self, poses=self.poses * (1.0, -1.0, -1.0))
+
     def pose(self, index: int) -> Pose2:
         """Return one pose."""
         return Pose2(*self.poses[index].tolist())

@@ -15,7 +15,7 @@ the confidence is low.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
@@ -346,7 +346,7 @@ def _faults(evidence: PathEvidence, name: str) -> tuple[str, ...]:
         return ()
     if laser_fault(wheels, path) is not None:
         # The image of a path that a mirrored laser made fits its scans worse.
-        image = replace(path, poses=path.poses * (1.0, -1.0, -1.0))
+        image = path.mirrored()
         scores = with_path(evidence, "its image", image).scores
         is_better = scores["its image"].consistency > scores[name].consistency
         if is_better and laser_fault(wheels, image) is None:

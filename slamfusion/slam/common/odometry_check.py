@@ -182,8 +182,7 @@ def laser_fault(odometry: Trajectory | None, path: Trajectory | None) -> str | N
         return None
     fit = fit_odometry(odometry, path)
     # Of a robot that drives sideways, only the mirror image drives like the odometry.
-    image = replace(path, poses=path.poses * (1.0, -1.0, -1.0))
-    if _drives_unlike(fit) and _drives_unlike(fit_odometry(odometry, image)):
+    if _drives_unlike(fit) and _drives_unlike(fit_odometry(odometry, path.mirrored())):
         return None
     return "; ".join(_laser_faults(fit)) or None
 
