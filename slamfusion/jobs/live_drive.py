@@ -584,9 +584,9 @@ def _revised(own: F64, path: Trajectory, scans_s: F64) -> F64:
     Where a long path leaves poses out, the input moved as it said before.
     """
     rows = np.column_stack((path.stamps_s, path.poses))
-    newer = own[:, 0] > path.stamps_s[-1] + SAME_STAMP_S
-    is_older = own[:, 0] < path.stamps_s[0] - SAME_STAMP_S
-    before = Trajectory(own[~newer & ~is_older, 0], own[~newer & ~is_older, 1:])
+    is_newer = own[:, 0] > path.stamps_s[-1] + SAME_STAMP_S
+    during = own[~is_newer & (own[:, 0] >= path.stamps_s[0] - SAME_STAMP_S)]
+    before = Trajectory(during[:, 0], during[:, 1:])
     if len(before) and (is_told := before.matches(path.stamps_s)[1]).any():
         left_out_s = before.stamps_s[~path.matches(before.stamps_s)[1]]
         carried = carried_along(_chosen(path, is_told), before, left_out_s)
@@ -595,7 +595,7 @@ def _revised(own: F64, path: Trajectory, scans_s: F64) -> F64:
         rows = rows[np.abs(near_s - path.stamps_s) <= SAME_STAMP_S]
         rows = np.concatenate((rows, np.column_stack((left_out_s, carried))))
         rows = rows[np.argsort(rows[:, 0])]
-    return np.concatenate((rows, own[newer]))
+    return np.concatenate((rows, own[is_newer]))
 
 
 def _part(path: Trajectory, after_s: float, until_s: float) -> Trajectory:

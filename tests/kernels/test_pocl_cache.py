@@ -74,7 +74,7 @@ def test_a_process_that_may_write_no_large_file_ends_well(tmp_path: Path) -> Non
     assert not list(tmp_path.glob("slamfusion-*"))
 
 
-def test_kernels_that_are_damaged_in_the_cache_are_told(tmp_path: Path) -> None:
+def test_kernels_that_are_damaged_in_the_cache_are_named(tmp_path: Path) -> None:
     folder = str(tmp_path / FOLDERS[0])
     command = ("evaluate", MAPS[0], "--truth", MAPS[1], "--no-align", "--device", "pthread")
     assert run(*command, env={FOLDERS[0]: folder}).returncode == 0
