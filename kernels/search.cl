@@ -1,8 +1,8 @@
 /* Score rigid motions: all shifts at once, given poses one by one, blocks of motions from above, and
- * the normal equations that refine a pose below a cell.
+ * fits of motions below a cell.
  *
- * Twin: slamfusion/compute/search.py, by the same names; exact, but for refine_terms (float32,
- * within 1e-3 of the sums).
+ * Twin: slamfusion/compute/search.py, by the same names; exact, but for fit_motions (float32,
+ * within 1e-4 of a step).
  */
 #include "common.h"
 
@@ -259,22 +259,22 @@ __kernel void pose_counts(__global const int *points, const int count, __global 
   }
 }
 
-/* Normal equations of a robust point-to-wall fit under a small motion (dx, dy, dyaw) of the
- * reference frame, applied after the pose, about the centre (cx, cy).
+/* Fit motions to the nearest best fit of walls on walls: damped Gauss-Newton steps.
  *
- * Residual: the distance d at the mapped point, bilinear over cell centres, from a field in 1/256
- * cell. Weight: Geman-McClure, 1 / (1 + (d / scale)^2)^2.
+ * The unknown of a step is a small motion (dx, dy, reach * dyaw) of the reference frame, applied after
+ * the motion, about the centre (cx, cy). Residual: the distance d at the mapped point, bilinear over
+ * cell centres, from a field in 1/256 cell. Weight: Geman-McClure, 1 / (1 + (d / scale)^2)^2.
  * Forward: points of the moving grid on the reference's field; the gradient is used as it is, the arm
  * is the mapped point. Backward: points of the reference on the moving field;
  * the gradient turns into the reference frame and changes sign, the arm is the point itself.
- * partial[chunk, p] = REFINE_TERMS floats: Hxx Hxy Hxt Hyy Hyt Htt, gx gy gt, sum of weights; the
- * chunks of the forward side, then those of the backward side.
- * *_points (count, 2) float cells; motions (9, n) float: cos, sin, tx, ty in cells, points to field,
- * of the forward and of the backward side, and the scale in cells;
- * *_distance (height, width) ushort, 1/256 cell; DISTANCE_UNSEEN where a point counts for nothing.
- * REFINE_LANES = 8 points are done at once; what lies off the map, or is not seen, weighs nothing.
- * Work item c * n + p does chunk c under motion p, see pose_scores. Global: (chunks of both sides * n). */
-#define REFINE_LANES 8
+ * A step is no longer than the scale; one of less than `settled` cells ends a round. `damping` times
+ * the sum of weights is added to the matrix.
+ * *_points (count, 2) float cells; *_distance (height, width) ushort, 1/256 cell; DISTANCE_UNSEEN
+ * where a point counts for nothing; motions (4, n) float: cos, sin, tx, ty in cells, moving points to
+ * the reference; scales (rounds, n) float, cells; moved (n, 3) float: dx and dy in cells, and dyaw of
+ * all steps. One work-group a motion, its items share the points.
+ * FIT_LANES = 8 points are done at once; what lies off the map, or is not seen, weighs nothing. */
+#define FIT_LANES 8
 #define GATHERED(n) (uint8)(n[0], n[1], n[2], n[3], n[4], n[5], n[6], n[7])
 /* A cell and the next of its row in one word. */
 #ifdef UNALIGNED_WORDS
@@ -289,55 +289,44 @@ INLINE float lanes_sum(const float8 lanes) {
   return two.x + two.y;
 }
 
-__kernel void refine_terms(__global const float *forward_points, const int forward_count,
-                           __global const ushort *forward_distance, const int forward_height,
-                           const int forward_width, __global const float *backward_points,
-                           const int backward_count, __global const ushort *backward_distance,
-                           const int backward_height, const int backward_width, const int n,
-                           __global const float *motions, const float cx, const float cy,
-                           const int chunk, const int forward_chunks, const int chunks,
-                           __global float *partial) {
-  const int c = get_global_id(0) / n, p = get_global_id(0) % n;
-  if (c >= chunks) return;
-  const bool backward = c >= forward_chunks;
-  __global const float *points = backward ? backward_points : forward_points;
-  __global const float *pose = motions + p + (backward ? 4 * n : 0);
-  __global const ushort *distance = backward ? backward_distance : forward_distance;
-  const int height = backward ? backward_height : forward_height;
-  const int width = backward ? backward_width : forward_width;
-  const int first = (backward ? c - forward_chunks : c) * chunk;
-  const int stop = LOWER(first + chunk, backward ? backward_count : forward_count);
-  const float cosine = pose[0], sine = pose[n], tx = pose[2 * n], ty = pose[3 * n];
-  const float scale = motions[8 * n + p], narrow = 1.0f / (scale * scale);
+/* Matrix, gradient and sum of weights: Hxx Hxy Hxt Hyy Hyt Htt, gx gy gt, w. */
+#define FIT_TERMS 10
+
+/* Find the terms of an item's part of one side's points, and add them to `sum`. */
+INLINE void add_terms(__global const float *points, const int count, __global const ushort *distance,
+                      const int height, const int width, const float4 pose, const float scale,
+                      const float3 pivot, const bool backward, float *sum) {
+  const float cosine = pose.x, sine = pose.y, narrow = 1.0f / (scale * scale), arm = 1.0f / pivot.z;
   float8 xx = 0.0f, xy = 0.0f, xt = 0.0f, yy = 0.0f, yt = 0.0f, tt = 0.0f;
   float8 x = 0.0f, y = 0.0f, t = 0.0f, all = 0.0f;
-  for (int i = first; i < stop && width > 1 && height > 1; i += REFINE_LANES) {
+  for (int i = get_local_id(0) * FIT_LANES; i < count && width > 1 && height > 1;
+       i += FIT_LANES * CLIMBERS) {
     float8 ox, oy;
-    if (i + REFINE_LANES <= stop) {
+    if (i + FIT_LANES <= count) {
       const float8 near = as_float8(LOAD32(points + 2 * i)), far = as_float8(LOAD32(points + 2 * i + 8));
       ox = (float8)(near.even, far.even);
       oy = (float8)(near.odd, far.odd);
     } else {
-      float px[REFINE_LANES], py[REFINE_LANES];
-      for (int lane = 0; lane < REFINE_LANES; lane++) {
-        const int at = LOWER(i + lane, stop - 1);
+      float px[FIT_LANES], py[FIT_LANES];
+      for (int lane = 0; lane < FIT_LANES; lane++) {
+        const int at = LOWER(i + lane, count - 1);
         px[lane] = points[2 * at];
         py[lane] = points[2 * at + 1];
       }
       ox = (float8)(px[0], px[1], px[2], px[3], px[4], px[5], px[6], px[7]);
       oy = (float8)(py[0], py[1], py[2], py[3], py[4], py[5], py[6], py[7]);
     }
-    const float8 qx = cosine * ox - sine * oy + tx, qy = sine * ox + cosine * oy + ty;
+    const float8 qx = cosine * ox - sine * oy + pose.z, qy = sine * ox + cosine * oy + pose.w;
     /* Cells of the corner below; a point that has none on the map looks at the first ones. */
-    const int8 on = ((int8)(0, 1, 2, 3, 4, 5, 6, 7) < stop - i) & (qx >= 0.5f) & (qy >= 0.5f) &
+    const int8 on = ((int8)(0, 1, 2, 3, 4, 5, 6, 7) < count - i) & (qx >= 0.5f) & (qy >= 0.5f) &
                     (qx < width - 0.5f) & (qy < height - 0.5f);
     const float8 fx = on ? qx - 0.5f : (float8)0.0f, fy = on ? qy - 0.5f : (float8)0.0f;
     const int8 col = CONVERT(int8, fx), row = CONVERT(int8, fy);
     const int8 cell = row * width + col;
-    const int cells[REFINE_LANES] = {cell.s0, cell.s1, cell.s2, cell.s3,
-                                     cell.s4, cell.s5, cell.s6, cell.s7};
-    uint low[REFINE_LANES], high[REFINE_LANES];
-    for (int lane = 0; lane < REFINE_LANES; lane++) {
+    const int cells[FIT_LANES] = {cell.s0, cell.s1, cell.s2, cell.s3,
+                                  cell.s4, cell.s5, cell.s6, cell.s7};
+    uint low[FIT_LANES], high[FIT_LANES];
+    for (int lane = 0; lane < FIT_LANES; lane++) {
       low[lane] = BOTH_CELLS(distance + cells[lane]);
       high[lane] = BOTH_CELLS(distance + cells[lane] + width);
     }
@@ -354,13 +343,13 @@ __kernel void refine_terms(__global const float *forward_points, const int forwa
     float8 gy = (1 - u) * (d10 - d00) + u * (d11 - d01);
     const float8 root = 1.0f + d * d * narrow;
     const float8 weight = counts ? 1.0f / (root * root) : (float8)0.0f;
-    float8 ax = qx - cx, ay = qy - cy;
+    float8 ax = (qx - pivot.x) * arm, ay = (qy - pivot.y) * arm;
     if (backward) {
       const float8 hx = -(cosine * gx + sine * gy), hy = -(cosine * gy - sine * gx);
       gx = hx;
       gy = hy;
-      ax = ox - cx;
-      ay = oy - cy;
+      ax = (ox - pivot.x) * arm;
+      ay = (oy - pivot.y) * arm;
     }
     const float8 gt = gy * ax - gx * ay;
     const float8 wx = weight * gx, wy = weight * gy, wt = weight * gt;
@@ -375,10 +364,78 @@ __kernel void refine_terms(__global const float *forward_points, const int forwa
     t += wt * d;
     all += weight;
   }
-  const float sum[REFINE_TERMS] = {
+  const float found[FIT_TERMS] = {
       lanes_sum(xx), lanes_sum(xy), lanes_sum(xt), lanes_sum(yy), lanes_sum(yt),
       lanes_sum(tt), lanes_sum(x),  lanes_sum(y),  lanes_sum(t),  lanes_sum(all)};
-  for (int i = 0; i < REFINE_TERMS; i++) partial[(c * n + p) * REFINE_TERMS + i] = sum[i];
+  for (int k = 0; k < FIT_TERMS; k++) sum[k] += found[k];
+}
+
+__kernel __attribute__((reqd_work_group_size(CLIMBERS, 1, 1))) void fit_motions(
+    __global const float *forward_points, const int forward_count,
+    __global const ushort *forward_distance, const int forward_height, const int forward_width,
+    __global const float *backward_points, const int backward_count,
+    __global const ushort *backward_distance, const int backward_height, const int backward_width,
+    const int n, __global const float *motions, __global const float *scales, const int rounds,
+    const int iterations, const float cx, const float cy, const float reach, const float damping,
+    const float settled, __global float *moved) {
+  const int item = get_local_id(0), p = get_group_id(0), last = rounds * iterations;
+  const float3 pivot = (float3)(cx, cy, reach);
+  __local float sums[CLIMBERS][FIT_TERMS];
+  __local float pose[4], all[3];
+  __local int at;
+  if (item == 0) {
+    for (int k = 0; k < 4; k++) pose[k] = motions[k * n + p];
+    all[0] = all[1] = all[2] = 0.0f;
+    at = 0;
+  }
+  barrier(CLK_LOCAL_MEM_FENCE);
+  for (int step = 0; step < last; step++) {
+    const float scale = scales[at / iterations * n + p];
+    const float4 there = (float4)(pose[0], pose[1], pose[2], pose[3]);
+    const float4 back = (float4)(there.x, -there.y, -(there.x * there.z + there.y * there.w),
+                                 there.y * there.z - there.x * there.w);
+    float sum[FIT_TERMS] = {0};
+    add_terms(forward_points, forward_count, forward_distance, forward_height, forward_width, there,
+              scale, pivot, false, sum);
+    add_terms(backward_points, backward_count, backward_distance, backward_height, backward_width,
+              back, scale, pivot, true, sum);
+    for (int k = 0; k < FIT_TERMS; k++) sums[item][k] = sum[k];
+    barrier(CLK_LOCAL_MEM_FENCE);
+    if (item == 0) {
+      float h[FIT_TERMS] = {0};
+      for (int i = 0; i < CLIMBERS; i++) {
+        for (int k = 0; k < FIT_TERMS; k++) h[k] += sums[i][k];
+      }
+      /* The damped matrix as L D L^T. */
+      const float damped = damping * HIGHER(h[9], 1.0f);
+      const float d0 = h[0] + damped, l10 = h[1] / d0, l20 = h[2] / d0;
+      const float d1 = h[3] + damped - l10 * h[1], rest = h[4] - l10 * h[2], l21 = rest / d1;
+      const float d2 = h[5] + damped - l20 * h[2] - l21 * rest;
+      const float y = h[7] - l10 * h[6], turned = (h[8] - l20 * h[6] - l21 * y) / d2;
+      const float up = y / d1 - l21 * turned, along = h[6] / d0 - l10 * up - l20 * turned;
+      const float length = (sqrt(along * along + up * up) + fabs(turned)) / scale;
+      const float part = -1.0f / HIGHER(1.0f, length);
+      const float dx = part * along, dy = part * up, arc = part * turned;
+      const float c = cos(arc / reach), s = sin(arc / reach), x = all[0];
+      all[0] = c * x - s * all[1] + dx;
+      all[1] = s * x + c * all[1] + dy;
+      all[2] += arc / reach;
+      const float c0 = motions[p], s0 = motions[n + p];
+      const float x0 = motions[2 * n + p] - cx, y0 = motions[3 * n + p] - cy;
+      const float ca = cos(all[2]), sa = sin(all[2]);
+      pose[0] = ca * c0 - sa * s0;
+      pose[1] = sa * c0 + ca * s0;
+      pose[2] = ca * x0 - sa * y0 + cx + all[0];
+      pose[3] = sa * x0 + ca * y0 + cy + all[1];
+      const bool still = fabs(dx) < settled && fabs(dy) < settled && fabs(arc) < settled;
+      at = still ? (at / iterations + 1) * iterations : at + 1;
+    }
+    barrier(CLK_LOCAL_MEM_FENCE);
+    if (at >= last) break;
+  }
+  if (item == 0) {
+    for (int k = 0; k < 3; k++) moved[3 * p + k] = all[k];
+  }
 }
 
 /* Points between two looks at whether a block can still be of use. */

@@ -21,12 +21,9 @@ FINE_POINTS = 1536
 FINAL_POINTS = 4096
 SPREAD_POINTS = 512
 SCALE_SPREAD = 4.0
-SETTLED_CELLS = 0.02
 SURFACE_RADII = (1, 2, 3, 4)
 # Robust scales of the last fit of two maps that show the same walls, cells.
 POLISH_SCALES = (4.0, 2.0, 1.0)
-# Indices of the six terms of a symmetric 3 x 3 matrix, and of its diagonal among the nine.
-SYMMETRIC, DIAGONAL = np.array([0, 1, 2, 1, 3, 4, 2, 4, 5]), slice(0, 9, 4)
 # Ratio of wall cells per surface cell from which the walls of one map are thicker.
 THICKER = 1.15
 # Turns from which a fit starts, the motion's own first; the wall width in cells to choose the best.
@@ -60,7 +57,7 @@ def refine(
         step: level to work on, fine cells a cell.
         scales: robust scale of each round, in cells of the level, wide to narrow; (P,) where each
             motion has its own.
-        iterations: Gauss-Newton steps a scale; a pose that moves by less than 0.02 cells stops.
+        iterations: Gauss-Newton steps a scale, fewer where a motion is settled.
         solid: fit all wall cells, not only surfaces, at step 1.
         everywhere: also in unknown cells, for bent maps.
 
@@ -73,36 +70,18 @@ def refine(
     sides = FitSide(from_mov, on_ref), FitSide(from_ref, on_mov)
     centre_mov = (pair.moving.centre[0] / step, pair.moving.centre[1] / step)
     (height, width), mov_shape = (level.shape for level in levels)
-    pivot, reach = (width / 2.0, height / 2.0), math.hypot(*mov_shape) / 2.0
-    damping = np.array([1e-3, 1e-3, 1e-3 * (reach * reach)])
-    local = (motions / np.array([step, step, 1.0])).T
-    for scale in scales:
-        moves, widths = np.arange(len(motions)), np.broadcast_to(scale, len(motions))
-        for _ in range(iterations):
-            x, y, yaw = at = local[:, moves]
-            there, back = both_ways(at.T, centre_mov)
-            given = np.array((*there, *back, widths), dtype=np.float32)
-            terms = pair.device.refine_terms(*sides, given, pivot)
-            # The damped Gauss-Newton step of each pose, no longer than its scale.
-            h = terms.take(SYMMETRIC, axis=1)
-            h[:, DIAGONAL] += np.maximum(terms[:, 9:], 1.0) * damping
-            back_step = np.linalg.solve(h.reshape(-1, 3, 3), terms[:, 6:9, None])[:, :, 0]
-            change: F64 = np.asarray(-back_step.T)
-            length = np.hypot(*change[:2]) / widths + np.abs(change[2]) * reach / widths
-            change /= np.maximum(1.0, length)
-            dx, dy, turn = change
-            # About the pivot, after the motions.
-            cos, sin = np.cos(turn), np.sin(turn)
-            x, y = x - pivot[0], y - pivot[1]
-            local[:, moves] = (
-                cos * x - sin * y + pivot[0] + dx, sin * x + cos * y + pivot[1] + dy, yaw + turn,
-            )  # fmt: skip
-            change[2] *= reach
-            still = (np.abs(change) >= SETTLED_CELLS).any(axis=0)
-            moves, widths = moves[still], widths[still]
-            if not len(moves):
-                break
-    return np.asarray(local.T * np.array([step, step, 1.0]))
+    middle, reach = np.array((width, height)) / 2.0, math.hypot(*mov_shape) / 2.0
+    local = motions / np.array([step, step, 1.0])
+    there, _ = both_ways(local, centre_mov)
+    moved = pair.device.fit_motions(
+        *sides, np.stack(there), np.stack([np.broadcast_to(s, len(motions)) for s in scales]),
+        iterations, (*middle, reach),
+    )  # fmt: skip
+    cos, sin = np.cos(moved[:, 2]), np.sin(moved[:, 2])
+    x, y = (local[:, :2] - middle).T
+    local = np.column_stack((cos * x - sin * y, sin * x + cos * y, local[:, 2])) + moved
+    local[:, :2] = (local[:, :2] + middle) * step
+    return local
 
 
 def settle(pair: Pair, motions: F64) -> F64:

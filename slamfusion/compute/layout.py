@@ -82,8 +82,6 @@ SHIFT_TILE: Final = 4
 NEIGHBOURS: Final = 9
 # The most distances to which ``pose_counts`` counts.
 LIMITS_MAX: Final = 5
-# Numbers per chunk of points: six of the matrix, three of the gradient, the sum of weights.
-REFINE_TERMS: Final = 10
 
 # -- votes -----------------------------------------------------------------------------------------
 

@@ -1,11 +1,12 @@
 """Search: what rigid motions of one grid onto another are worth, and how to refine the best.
 
 ``kernels/search.cl`` computes the same on an OpenCL device: whole numbers bit for bit,
-``refine_terms`` in float32, which agrees to a stated tolerance.
+``fit_motions`` in float32, which agrees to a stated tolerance.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -14,19 +15,19 @@ import numpy as np
 from slamfusion.compute.arrays import ArrayDevice, DeviceArray, host
 from slamfusion.compute.lattice import PointPlanes, cells_at, fixed_cells, narrow_motions, narrowed
 from slamfusion.compute.layout import (
+    CLIMBERS,
     DISTANCE_ONE,
     DISTANCE_UNSEEN,
     FIELD_ONE,
     FIXED_TO_CELL_SHIFT,
     FREE,
     NEIGHBOURS,
-    REFINE_TERMS,
     SHIFT_LANES,
     SHIFT_POINTS,
     SHIFT_TILE,
     UNKNOWN,
 )
-from slamfusion.geometry import F32, F64, I32, I64, U16
+from slamfusion.geometry import F64, I32, I64, U16
 
 if TYPE_CHECKING:
     from slamfusion.compute.opencl import OpenCLDevice
@@ -98,6 +99,8 @@ class FitSide(NamedTuple):
 
 # Points that one work item sums; the host adds the sums.
 CHUNK_POINTS, CHUNK_SCORED = 64, 512
+# Of a fit: times the sum of weights added to the matrix; the step, cells, that ends a round.
+FIT_DAMPING, FIT_SETTLED = 1e-3, 0.02
 # Of a neighbour along each axis, and along x and y of the ``NEIGHBOURS``.
 STEPS = (0, -1, 1)
 NEIGHBOUR_STEPS = [(x, y) for x in STEPS for y in STEPS]
@@ -149,40 +152,56 @@ def _pose_counts(side: CountedSide, worths: U16, base: int, limits2: Sequence[in
     return out
 
 
+def _fitted(
+    sides: tuple[FitSide, FitSide], motion: F64, scales: F64, iterations: int, pivot: F64
+) -> tuple[float, float, float]:
+    """Return how one motion (4,) moves; see ``SearchDevice.fit_motions``."""
+    centre, reach = complex(*pivot[:2]), float(pivot[2])
+    turned, at = complex(*motion[:2]), complex(*motion[2:]) - centre
+    moved, turn = 0j, 0.0
+    for scale in scales:
+        for _ in range(iterations):
+            rotation = np.exp(1j * turn)
+            there = rotation * turned, rotation * at + centre + moved
+            back = there[0].conjugate(), -there[0].conjugate() * there[1]
+            matrix, gradient, weight = _side_terms(sides[0], *there, scale, pivot, backward=False)
+            more = _side_terms(sides[1], *back, scale, pivot, backward=True)
+            damping = FIT_DAMPING * max(1.0, weight + more[2])
+            damped = matrix + more[0] + damping * np.eye(3)
+            step = -np.linalg.solve(damped, gradient + more[1])
+            step /= max(1.0, (math.hypot(*step[:2]) + abs(step[2])) / scale)
+            moved = moved * np.exp(1j * step[2] / reach) + complex(*step[:2])
+            turn += step[2] / reach
+            if np.abs(step).max() < FIT_SETTLED:
+                break
+    return moved.real, moved.imag, turn
+
+
 def _side_terms(
-    side: FitSide, poses: F64, scales: F64, centre: tuple[float, float], *, backward: bool
-) -> F64:
-    """Return the normal equations of the points of one side; ``poses`` are (P, 4)."""
-    points, distance = host(side.points), host(side.distance)
+    side: FitSide, turned: complex, shift: complex, scale: float, pivot: F64, *, backward: bool
+) -> tuple[F64, F64, float]:
+    """Return matrix (3, 3), gradient (3,) and sum of weights of the points of one side."""
+    points, distance = host(side.points).astype(np.float64) @ (1, 1j), host(side.distance)
     height, width = distance.shape
     cells = distance / float(DISTANCE_ONE)
-    out = np.zeros((len(poses), REFINE_TERMS))
-    for p, (cosine, sine, tx, ty) in enumerate(poses):
-        scale = float(scales[p])
-        px, py = points[:, 0].astype(np.float64), points[:, 1].astype(np.float64)
-        qx, qy = cosine * px - sine * py + tx, sine * px + cosine * py + ty
-        col = np.floor(qx - 0.5).astype(np.int64)
-        row = np.floor(qy - 0.5).astype(np.int64)
-        inside = (col >= 0) & (row >= 0) & (col + 1 < width) & (row + 1 < height)
-        at = row[inside], col[inside]
-        corners = np.stack([distance[at[0] + i, at[1] + j] for i in (0, 1) for j in (0, 1)])
-        inside[inside] = corners.max(axis=0, initial=0) < DISTANCE_UNSEEN
-        px, py, qx, qy, col, row = (part[inside] for part in (px, py, qx, qy, col, row))
-        u, v = qx - 0.5 - col, qy - 0.5 - row
-        d00, d01 = cells[row, col], cells[row, col + 1]
-        d10, d11 = cells[row + 1, col], cells[row + 1, col + 1]
-        d = (1 - v) * ((1 - u) * d00 + u * d01) + v * ((1 - u) * d10 + u * d11)
-        gx = (1 - v) * (d01 - d00) + v * (d11 - d10)
-        gy = (1 - u) * (d10 - d00) + u * (d11 - d01)
-        weight = (1.0 + (d * d) / (scale * scale)) ** -2.0
-        ax, ay = qx - centre[0], qy - centre[1]
-        if backward:
-            gx, gy = -(cosine * gx + sine * gy), -(cosine * gy - sine * gx)
-            ax, ay = px - centre[0], py - centre[1]
-        gt = gy * ax - gx * ay
-        terms = (gx * gx, gx * gy, gx * gt, gy * gy, gy * gt, gt * gt, gx * d, gy * d, gt * d)
-        out[p] = [*(float(np.sum(weight * term)) for term in terms), float(np.sum(weight))]
-    return out
+    mapped = turned * points + shift
+    col, row = (np.floor(part - 0.5).astype(np.int64) for part in (mapped.real, mapped.imag))
+    inside = (col >= 0) & (row >= 0) & (col + 1 < width) & (row + 1 < height)
+    at = row[inside], col[inside]
+    corners = np.stack([distance[at[0] + i, at[1] + j] for i in (0, 1) for j in (0, 1)])
+    inside[inside] = corners.max(axis=0, initial=0) < DISTANCE_UNSEEN
+    points, mapped, col, row = (part[inside] for part in (points, mapped, col, row))
+    u, v = mapped.real - 0.5 - col, mapped.imag - 0.5 - row
+    d00, d01 = cells[row, col], cells[row, col + 1]
+    d10, d11 = cells[row + 1, col], cells[row + 1, col + 1]
+    d = (1 - v) * ((1 - u) * d00 + u * d01) + v * ((1 - u) * d10 + u * d11)
+    slope = (1 - v) * (d01 - d00) + v * (d11 - d10) + 1j * ((1 - u) * (d10 - d00) + u * (d11 - d01))
+    if backward:
+        slope, mapped = -slope * turned.conjugate(), points
+    arm = (mapped - complex(*pivot[:2])) / pivot[2]
+    weight = (1.0 + (d / scale) ** 2) ** -2.0
+    along = np.stack((slope.real, slope.imag, (slope * arm.conjugate()).imag))
+    return (weight * along) @ along.T, along @ (weight * d), float(weight.sum())
 
 
 def _scores(
@@ -338,38 +357,44 @@ class SearchDevice(ArrayDevice):
             found.append(np.stack([_narrow_scores(side, each, drop) for each in stepped], axis=1))
         return found
 
-    def refine_terms(
-        self, forward: FitSide, backward: FitSide, motions: F32, centre: tuple[float, float]
+    def fit_motions(
+        self,
+        forward: FitSide,
+        backward: FitSide,
+        motions: F64,
+        scales: F64,
+        iterations: int,
+        pivot: tuple[float, float, float],
     ) -> F64:
-        """Return the normal equations of a robust point-to-wall fit, one row per motion.
+        """Move motions to the nearest best fit of both sides' points on the other's walls.
 
-        The unknown is a small motion (dx, dy, dyaw) of the reference frame about ``centre``,
-        applied after the motion. The residual is the bilinear distance to the nearest wall, its
-        weight Geman and McClure's 1 / (1 + (d / scale)^2)^2.
+        The residual of a point is the bilinear distance to the nearest wall, its weight Geman and
+        McClure's 1 / (1 + (d / scale)^2)^2. Each damped Gauss-Newton step is a small motion
+        of the reference frame about the pivot, applied after the motion.
 
         Args:
-            motions: (9, P) float32: cos, sin, x, y (cells), points to field, of the forward and of
-                the backward side; the scale of each motion, cells.
-            centre: x and y in cells of the reference.
+            motions: (4, P) cos, sin, x, y (cells), moving points to the reference.
+            scales: (R, P) of each round and motion, cells; no step is longer.
+            iterations: steps of a round; one below ``FIT_SETTLED`` ends it.
+            pivot: x and y in cells of the reference, and the radius at which a turn is counted.
 
         Returns:
-            (P, 10) float64, of both sides: Hxx Hxy Hxt Hyy Hyt Htt, gx gy gt, sum of weights.
+            (P, 3) float64: dx, dy (cells) and dyaw (rad) about the pivot, of all steps.
         """
+        rounds, n = scales.shape
         if self.opencl:
-            n = motions.shape[1]
-            sides, chunks = [], []
-            for points, distance in (forward, backward):
-                sides += [points, points.shape[0], distance, *distance.shape]
-                chunks.append(-(-points.shape[0] // CHUNK_POINTS))
-            parts = self.opencl.launch_into(
-                np.empty((sum(chunks), n, REFINE_TERMS), np.float32), "refine_terms",
-                (sum(chunks) * n,), *sides, n, self.upload(motions), *centre, CHUNK_POINTS,
-                chunks[0], sum(chunks),
-            )  # fmt: skip
-            first, second = parts[: chunks[0]], parts[chunks[0] :]
-            return np.asarray(
-                first.sum(axis=0, dtype=np.float64) + second.sum(axis=0, dtype=np.float64)
-            )
-        there, back, (scales,) = np.split(motions.astype(np.float64), (4, 8))
-        ahead = _side_terms(forward, there.T, scales, centre, backward=False)
-        return ahead + _side_terms(backward, back.T, scales, centre, backward=True)
+            sides = [
+                part
+                for points, distance in (forward, backward)
+                for part in (points, points.shape[0], distance, *distance.shape)
+            ]
+            given = [self.upload(part.astype(np.float32)) for part in (motions, scales)]
+            return self.opencl.launch_into(
+                np.empty((n, 3), np.float32), "fit_motions", (n * CLIMBERS,), *sides, n, *given,
+                rounds, iterations, *pivot, FIT_DAMPING, FIT_SETTLED,
+            ).astype(np.float64)  # fmt: skip
+        moved = [
+            _fitted((forward, backward), motion, widths, iterations, np.array(pivot))
+            for motion, widths in zip(motions.T, scales.T, strict=True)
+        ]
+        return np.array(moved).reshape(n, 3)

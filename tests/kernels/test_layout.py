@@ -20,7 +20,8 @@ OWN = {
     "AHEAD",  # cells of a walk that are fetched together
     "WARP_CELLS",  # cells that a resampling passes over together
     "WALL_LANES",  # cells that are passed over together where none is a wall
-    "REFINE_LANES",  # points of a fit that are done at once
+    "FIT_LANES",  # points of a fit that are done at once
+    "FIT_TERMS",  # of its normal equations
     "MODEL_BASE",  # a flag of two values, False in Python
     "CORNERS",  # work items of a climb that try a step
     "BLOCK",  # cells of a row that a wall reaches, at once

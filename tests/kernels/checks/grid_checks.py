@@ -191,31 +191,39 @@ def _piece_sums(device: ComputeDevice, sample: Sample) -> Arrays:
     return [sums for sided in (True, False) for sums in device.piece_sums(side, sided=sided)]
 
 
-def _refine_terms(device: ComputeDevice, sample: Sample) -> Arrays:
+def _fit_motions(device: ComputeDevice, sample: Sample) -> Arrays:
     x, y, yaw = sample.motions.T
-    poses = np.stack((np.cos(yaw), np.sin(yaw), x, y))
-    size = (sample.shape[1], sample.shape[0])
-    points = device.upload((sample.rng.random((150, 2)) * size).astype(np.float32))
+    motions = np.stack((np.cos(yaw), np.sin(yaw), x, y))
+    height, width = sample.shape
+    points = device.upload((sample.rng.random((150, 2)) * (width, height)).astype(np.float32))
     distance = device.upload(DISTANCE_TABLE[sample.distance2])
-    centre = (size[0] / 2.0, size[1] / 2.0)
     # Half and quarter turns, and eighths of a cell: no rounding says which cells a point reads.
     shift = np.rint(8.0 * sample.motions[0, :2]) / 8.0
-    turns = np.array([[1, 0, 0, 0], [-1, 0, *size], [0, 1, size[1], 0]], dtype=np.float64).T
+    turns = np.array([[1, 0, 0, 0], [-1, 0, width, height], [0, 1, height, 0]], dtype=np.float64).T
     turns[2:] += shift[:, None]
-    eighths = sample.rng.integers(0, 8 * np.array(size), (150, 2)) / 8.0
+    eighths = sample.rng.integers(0, 8 * np.array((width, height)), (150, 2)) / 8.0
     unseen = DISTANCE_TABLE[sample.distance2]
     unseen[sample.rng.random(sample.shape) < 0.15] = DISTANCE_UNSEEN
-    scales = np.array([6.0, 3.0, 12.0])
-    rounded = FitSide(points, distance), poses
-    exact = FitSide(device.upload(eighths.astype(np.float32)), device.upload(unseen)), turns
+    # A corner of two walls, to which the steps of several rounds converge.
+    rows, cols = np.indices(sample.shape)
+    corner = np.minimum(abs(rows - height // 3), abs(cols - width // 3)) * DISTANCE_ONE
+    near = sample.motions * (0.05, 0.05, 0.02)
+    close = np.stack((np.cos(near[:, 2]), np.sin(near[:, 2]), *near[:, :2].T))
+    rough = FitSide(points, distance)
+    exact = FitSide(device.upload(eighths.astype(np.float32)), device.upload(unseen))
+    smooth = FitSide(
+        points, device.upload(np.minimum(corner, DISTANCE_UNSEEN - 1).astype(np.uint16))
+    )
+    pivot, scales = (width / 2.0, height / 2.0, (height + width) / 4.0), np.array([6.0, 3.0, 12.0])
     return [
-        device.refine_terms(
-            forward, backward, np.stack((*there, *back, scales)).astype(np.float32), centre
+        device.fit_motions(forward, backward, moved, np.stack([scales] * rounds), steps, pivot)
+        for forward, backward, moved, rounds, steps in (
+            (rough, rough, motions, 1, 1),
+            (exact, rough, turns, 1, 1),
+            (rough, exact, turns, 1, 1),
+            (smooth, smooth, close, 2, 3),
         )
-        for (forward, there), (backward, back) in (
-            (rounded, rounded), (exact, rounded), (rounded, exact),
-        )
-    ]  # fmt: skip
+    ]
 
 
 def _flat(votes: Iterable[Votes]) -> Arrays:
@@ -288,7 +296,7 @@ GRID_CHECKS: dict[str, Check] = {
     "neighbour_scores": _neighbour_scores,
     "piece_words": _piece_words,
     "piece_sums": _piece_sums,
-    "refine_terms": _refine_terms,
+    "fit_motions": _fit_motions,
     "vote_majority": _vote_majority,
     "vote_walls": _vote_walls,
     "cast_rays": _cast_rays,
