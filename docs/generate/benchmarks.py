@@ -1,13 +1,11 @@
-"""Tables of benchmarks, from the dated JSON files in ``docs/benchmarks/data``.
+"""Tables of benchmarks, from the JSON files in ``docs/benchmarks/data``.
 
-Each file is one measurement of one table: ``NAME-YYYY-MM-DD.json``, with what was run, when, on
-which machine and at which commit. Of several of one name the newest is shown.
-``tests.benchmarks.record`` writes them; nobody edits them.
+Each file is the last measurement of one table, ``NAME.json``, with what was run, when, on which
+machine and at which commit. ``tests.benchmarks.record`` writes them; nobody edits them.
 """
 
 from __future__ import annotations
 
-import datetime as dt
 import functools
 import json
 from collections.abc import Callable
@@ -46,7 +44,6 @@ class Measurement:
     note: str = ""
 
     def __post_init__(self) -> None:
-        dt.date.fromisoformat(self.date)
         for row in self.rows:
             if len(row) != len(self.columns):
                 message = f"{self.name}: a row of {len(row)} cells, {len(self.columns)} columns"
@@ -55,7 +52,7 @@ class Measurement:
     @property
     def file_name(self) -> str:
         """The file that holds it."""
-        return f"{self.name}-{self.date}.json"
+        return f"{self.name}.json"
 
     def to_json(self) -> str:
         """Return the file's text."""
@@ -72,15 +69,14 @@ class Measurement:
         rows = tuple(tuple(row) for row in told.pop("rows"))
         found = cls(columns=tuple(told.pop("columns")), rows=rows, **told)
         if path.name != found.file_name:
-            message = f"{path}: holds {found.name} of {found.date}; call it {found.file_name}"
+            message = f"{path}: holds {found.name}; call it {found.file_name}"
             raise ValueError(message)
         return found
 
 
 def measurements(folder: Path = FOLDER) -> dict[str, Measurement]:
-    """Return the newest measurement of every name."""
-    found = sorted((Measurement.read(path) for path in folder.glob("*.json")), key=_by_date)
-    return {item.name: item for item in found}
+    """Return every measurement by its name."""
+    return {path.stem: Measurement.read(path) for path in sorted(folder.glob("*.json"))}
 
 
 def benchmark_table(item: Measurement) -> str:
@@ -97,7 +93,3 @@ def benchmark_tables() -> dict[str, Callable[[], str]]:
         f"benchmark {name}": functools.partial(benchmark_table, item)
         for name, item in measurements().items()
     }
-
-
-def _by_date(item: Measurement) -> tuple[str, str]:
-    return item.date, item.name

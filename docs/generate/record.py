@@ -1,4 +1,4 @@
-"""Run what a page's table is made of, and keep the table as dated JSON.
+"""Run what a page's table is made of, and keep the table as JSON.
 
     python -m docs.generate.record failures
     python -m docs.generate.record real-logs --datasets DIR

@@ -1,6 +1,6 @@
-"""Keep what a benchmark printed: its tables as dated JSON, of which the pages' tables are made.
+"""Keep what a benchmark printed: its tables as JSON, of which the pages' tables are made.
 
-A benchmark with the option ``--record`` writes ``docs/benchmarks/data/NAME-DATE.json``, one file
+A benchmark with the option ``--record`` writes ``docs/benchmarks/data/NAME.json``, one file
 for each table; ``python -m docs.generate`` then writes them into the pages that name them.
 """
 
@@ -64,7 +64,7 @@ def add_record_option(parser: argparse.ArgumentParser) -> None:
         type=Path,
         const=FOLDER,
         metavar="DIR",
-        help="keep the tables as dated JSON; default folder: docs/benchmarks/data",
+        help="keep the tables as JSON; default folder: docs/benchmarks/data",
     )
 
 
