@@ -309,7 +309,7 @@ class SideBySideConfig(Checked):
         None, "producers that run at once; default: one for each core", low=1, high=64
     )
     time_limit_s: float | None = option(
-        None, "stop a producer that takes longer and leave it out", low=0.1, high=1e7
+        None, "leave out a producer that takes longer, its start included", low=0.1, high=1e7
     )
     draw: bool = option(
         False, "also draw a map from all scans at the fused path, in addition to the vote"

@@ -74,6 +74,10 @@ class _Job:
     answers: Connection
     begun_s: float
 
+    def age_s(self) -> float:
+        """Return the time since its process was started."""
+        return time.perf_counter() - self.begun_s
+
 
 class SideBySide:
     """Producers at work; use it in a ``with`` block, which leaves no process behind.
@@ -94,7 +98,7 @@ class SideBySide:
         self.source = open_log(log, config.log, scan_odometry)
         self._names = tuple(names)
         self._arguments = (self.source, config)
-        self._limit_s = config.run.time_limit_s
+        self._limit_s = config.run.time_limit_s or math.inf
         cores = usable_cores()
         self._processes = min(len(names), config.run.processes or cores)
         self._threads = max(1, cores // self._processes)
@@ -118,15 +122,14 @@ class SideBySide:
     def wait(self, progress: Progress | None = None) -> tuple[Outcome, ...]:
         """Return the outcome of each producer, in the order given, when the last one has ended."""
         while self._jobs:
-            first = min(job.begun_s for job in self._jobs)
-            left_s = None if self._limit_s is None else max(0.0, self._left_s(first))
-            ready = connection.wait([job.answers for job in self._jobs], left_s)
+            left_s = max(0.0, self._limit_s - max(job.age_s() for job in self._jobs))
+            timeout_s = left_s if math.isfinite(left_s) else None
+            ready = connection.wait([job.answers for job in self._jobs], timeout_s)
             for job in list(self._jobs):
                 if job.answers in ready:
                     self._listen(job, progress)
-                elif self._left_s(job.begun_s) <= 0.0:
-                    reason = f"ran past its time limit of {self._limit_s:g} s and was stopped"
-                    self._conclude(job, Outcome(job.name, None, reason))
+                elif job.age_s() >= self._limit_s:
+                    self._conclude(job, Outcome(job.name, None, time_s=job.age_s()))
             self._start()
         return tuple(self._outcomes[name] for name in self._names)
 
@@ -141,7 +144,8 @@ class SideBySide:
             said = job.answers.recv()
         except (EOFError, OSError):
             job.process.join(JOIN_S)
-            said = Outcome(job.name, None, _how_it_died(job.process.exitcode))
+            reason = _how_it_died(job.process.exitcode)
+            said = Outcome(job.name, None, reason, job.age_s())
         if not isinstance(said, Outcome):
             if progress is not None:
                 progress(job.name, said)
@@ -151,17 +155,14 @@ class SideBySide:
         self._conclude(job, said)
 
     def _conclude(self, job: _Job, said: Outcome) -> None:
+        """Keep the outcome of a process; an answer may be late and heard only now."""
         self._jobs.remove(job)
+        if not said.reason and said.time_s >= self._limit_s:
+            reason = f"ran past its time limit of {self._limit_s:g} s"
+            said = replace(said, run=None, reason=reason)
         run = None if said.run is None else _sealed(said.run)
-        time_s = time.perf_counter() - job.begun_s
-        self._outcomes[job.name] = replace(said, run=run, time_s=time_s)
+        self._outcomes[job.name] = replace(said, run=run)
         _stop(job)  # one that has answered has nothing left to do
-
-    def _left_s(self, begun_s: float) -> float:
-        """Return the time until a process reaches its limit."""
-        return (
-            math.inf if self._limit_s is None else begun_s + self._limit_s
-        ) - time.perf_counter()
 
 
 def _sealed(run: ProducerRun) -> ProducerRun:
@@ -189,10 +190,13 @@ def _start(name: str, arguments: tuple[Any, ...], threads: int) -> _Job:
     """Start a producer's process; its device and libraries may start ``threads`` threads each."""
     context = multiprocessing.get_context("spawn")
     answers, theirs = context.Pipe(duplex=False)
-    process = context.Process(
-        target=_work, args=(name, *arguments, theirs), name=f"slamfusion-{name}", daemon=True
-    )
     begun_s = time.perf_counter()
+    process = context.Process(
+        target=_work,
+        args=(name, *arguments, theirs, begun_s),
+        name=f"slamfusion-{name}",
+        daemon=True,
+    )
     with threads_limited(threads):
         process.start()
     theirs.close()  # else the pipe would not end with the process
@@ -222,13 +226,16 @@ def _how_it_died(exit_code: int | None) -> str:
 # --- in the process of a producer -------------------------------------------------------------
 
 
-def _work(name: str, source: ScanLog, config: RunConfig, answers: Connection) -> None:
+def _work(
+    name: str, source: ScanLog, config: RunConfig, answers: Connection, begun_s: float
+) -> None:
+    """Send the outcome; ``begun_s`` is of a clock that all processes of a machine share."""
     gc.set_threshold(GC_OBJECTS)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the caller handles the interrupt
     os.dup2(2, 1)  # standard output belongs to the caller; drivers may print
     try:
         answer = _answer(name, source, config, answers)
-        answers.send(answer)
+        answers.send(replace(answer, time_s=time.perf_counter() - begun_s))
     except BrokenPipeError:  # the caller is gone
         sys.exit(1)
 

@@ -113,6 +113,15 @@ def test_a_frozen_producer_is_stopped_at_its_time_limit(log: Path) -> None:
     assert outcomes["graph"].time_s >= 1.5
 
 
+def test_an_answer_past_the_time_limit_is_left_out_even_if_it_is_heard_later(log: Path) -> None:
+    outcomes = run(
+        log, "tinyslam", config=with_settings(time_limit_s=0.1), meanwhile=lambda _: time.sleep(3.0)
+    )
+    assert outcomes["tinyslam"].run is None
+    assert outcomes["tinyslam"].reason == "ran past its time limit of 0.1 s"
+    assert outcomes["tinyslam"].time_s > 0.1
+
+
 def test_the_longest_job_starts_first_and_no_more_run_than_may(log: Path) -> None:
     names = ("tinyslam", "graph", "gmapping")
     with SideBySide(names, log, with_settings(processes=1)):
