@@ -72,6 +72,19 @@ def read_head(path: Path) -> bytes:
     return bytes(head)
 
 
+# Maps by the ends of their names. And what maps and paths are where another file is wanted.
+MAP_SUFFIXES = (".yaml", ".yml", ".pgm", ".png", ".bmp", ".pnm", ".dxf")
+KINDS = {
+    ".tum": "a path; `slamfusion trajectory` and `judge` read paths, and the true path is "
+    "--truth-trajectory of `run`, --truth of other commands",
+    **dict.fromkeys(
+        MAP_SUFFIXES,
+        "a map; `slamfusion fuse` and `evaluate` read maps, and the true map is --truth-map of "
+        "`slam`, --truth of other commands",
+    ),
+}
+
+
 def strip_gz(name: str) -> str:
     """Return a file name in lower case without its ``.gz``."""
     return name.lower().removesuffix(".gz")

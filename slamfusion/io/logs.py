@@ -16,7 +16,7 @@ from slamfusion.io.bags import (
     ZSTD_MAGIC,
 )
 from slamfusion.io.carmen import CARMEN_WORDS, CarmenLog
-from slamfusion.io.lines import read_head, strip_gz
+from slamfusion.io.lines import KINDS, read_head, strip_gz
 from slamfusion.io.log import ScanLog
 from slamfusion.io.tinyslam_dat import FIELDS, TinySlamDat
 
@@ -130,11 +130,12 @@ def _reader(where: Path) -> Reader:
     head = read_head(where)
     suffix, known = _suffix(where), _reader_by_content(head)
     if suffix not in _READERS:
-        advice = "give the log; it stands before maps and paths"
+        found = f"{suffix or 'no extension'!r}; give a log"
+        if known is not None:
+            found = f"a log that ends in {suffix!r}; rename it by its kind"
         raise LogError(
             f"{where}: wanted a log named {', '.join(_READERS)} (text also .gz) or a ROS 2 bag's "
-            f"folder, found {suffix or 'no extension'!r}; "
-            f"{'rename it by its kind' if known is not None else advice}"
+            f"folder, found {KINDS.get(suffix, found) if known is None else found}"
         )
     if not head:
         raise LogError(f"{where}: the file is empty; give a log with scans")

@@ -51,6 +51,7 @@ from slamfusion.io.images import (
     pixel_digest,
     read_image,
 )
+from slamfusion.io.lines import KINDS
 from slamfusion.io.yaml_file import read_yaml
 
 _LOG = logging.getLogger(__name__)
@@ -97,6 +98,7 @@ _NO_MAPS = {
         (".bt", ".ot", ".pcd", ".ply", ".las", ".laz"),
         f"a 3D map; load it in octomap_server, and save its map with {_SAVER} -t projected_map",
     ),
+    **dict.fromkeys((".tum", ".csv"), KINDS[".tum"]),
     **dict.fromkeys(
         (".bag", ".db3", ".mcap", ".clf", ".log"), "a log; make its map with slamfusion run"
     ),

@@ -14,9 +14,10 @@ import numpy as np
 from slamfusion.config import YAW_MOST_RAD, LogConfig
 from slamfusion.errors import TrajectoryError
 from slamfusion.geometry import F64, quaternion_yaw_rad, wrap_angle
+from slamfusion.io.bags import METADATA
 from slamfusion.io.carmen import CARMEN_WORDS
 from slamfusion.io.files import write_atomic
-from slamfusion.io.lines import ROW_BYTES, packed_by_name, strip_gz, text_lines
+from slamfusion.io.lines import KINDS, MAP_SUFFIXES, ROW_BYTES, packed_by_name, strip_gz, text_lines
 from slamfusion.io.log import odometry_path
 from slamfusion.io.logs import BAG_SUFFIXES, bag_at, open_log
 from slamfusion.io.tinyslam_dat import FIELDS
@@ -82,8 +83,10 @@ def read_trajectory(
     """
     where = Path(path)
     name = Path(strip_gz(where.name)).stem or where.name
-    if where.is_dir() or strip_gz(where.name).endswith(BAG_SUFFIXES):
+    if where.is_dir() or strip_gz(where.name).endswith((*BAG_SUFFIXES, METADATA)):
         return _bag_path(where, config, name, pose_topic, warn)
+    if (suffix := Path(strip_gz(where.name)).suffix) in MAP_SUFFIXES:
+        raise TrajectoryError(f"{where}: wanted {_WANTED}, found {KINDS[suffix]}")
     first, columns = _first_fields(where)
     if first and (first[0] in CARMEN_WORDS or len(first) == FIELDS):
         graph = _read_graph(where, name)

@@ -17,7 +17,7 @@ from slamfusion.errors import LogError, MapFileError
 from slamfusion.evidence.recommendation import Recommendation
 from slamfusion.grid import OCCUPIED, UNKNOWN
 from slamfusion.io.bags import METADATA
-from slamfusion.io.lines import strip_gz
+from slamfusion.io.lines import MAP_SUFFIXES, strip_gz
 from slamfusion.io.log import BACK, EQUAL, STRAY
 from slamfusion.io.logs import bag_at, is_bag_folder, open_log
 from slamfusion.jobs.inputs import Progress, load_maps, map_file
@@ -29,7 +29,6 @@ GAP_PERIODS = 5.0
 # Recorded on mit-csail (1988 scans, 361 beams, two cores of an AMD EPYC): time of tinySLAM for a
 # scan, of alignment, vote and report together, and memory of all processes.
 SCAN_S, OTHER_STAGES_S, RUN_MB = 0.0022, 8.0, 1400.0
-MAP_SUFFIXES = (".yaml", ".yml", ".pgm", ".png", ".bmp", ".pnm", ".dxf")
 
 
 @dataclass(frozen=True)

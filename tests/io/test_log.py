@@ -80,9 +80,11 @@ def test_an_unknown_extension_is_refused_whatever_is_inside(tmp_path: Path, name
 
 
 def test_a_path_or_a_map_is_not_to_be_renamed(tmp_path: Path) -> None:
-    with pytest.raises(LogError, match="tum'; give the log; it stands before maps and"):
+    with pytest.raises(LogError, match="found a path; `slamfusion trajectory` and `judge`"):
         open_log(write_lines(tmp_path / "graph.tum", "1 0 0 0 0 0 0 1"))
-    with pytest.raises(LogError, match="scans'; rename it by its kind"):
+    with pytest.raises(
+        LogError, match=r"found a log that ends in '\.scans'; rename it by its kind"
+    ):
         open_log(write_lines(tmp_path / "drive.scans", flaser(1)))
 
 

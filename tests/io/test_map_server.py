@@ -724,6 +724,7 @@ def test_other_grey_cells_stay_as_they_are(tmp_path: Path, row: list[int]) -> No
 @pytest.mark.parametrize(
     ("name", "words"),
     [
+        ("a.tum", r"a path; .*--truth-trajectory of `run`"),
         ("a.posegraph", r"slam_toolbox.*map_saver_cli"),
         ("a.pbstream", r"Cartographer.*cartographer_pbstream_to_ros_map"),
         ("map.JSON", r"vacuum.*PNG.*--resolution"),

@@ -177,6 +177,12 @@ def test_a_missing_file_is_the_systems_error(tmp_path: Path) -> None:
         read_trajectory(tmp_path / "none.tum")
 
 
+@pytest.mark.parametrize("name", ["truth.yaml", "truth.pgm.gz"])
+def test_a_map_is_named_with_what_reads_it(tmp_path: Path, name: str) -> None:
+    with pytest.raises(TrajectoryError, match="found a map; `slamfusion fuse` and `evaluate`"):
+        read_trajectory(write_lines(tmp_path / name, "image: truth.pgm"))
+
+
 @pytest.mark.datasets
 @pytest.mark.parametrize(
     ("name", "poses", "path_m"),
