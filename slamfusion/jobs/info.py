@@ -44,7 +44,8 @@ class LogInfo:
     gaps: int
     """Pauses of more than five times that."""
     longest_gap_s: float
-    """The longest time between two scans, seconds."""
+    """The longest time between two scans, seconds; scans that odometry does not reach are left
+    out."""
     beams: str
     """Beams of a scan; several numbers if they change."""
     field_of_view_deg: float
@@ -57,8 +58,6 @@ class LogInfo:
     """Length of the path by odometry, metres; null: the log has none."""
     without_odometry: int
     """Scans without odometry."""
-    longest_without_odometry_s: float
-    """The longest time from a scan with odometry to the next one with it, seconds."""
     out_of_order: int
     """Scans that are left out: their stamp is not later than the one before, or far ahead."""
     deskewed: int
@@ -191,7 +190,6 @@ def _log_info(path: Path, config: RunConfig, progress: Progress) -> InfoDocument
         returns_percent=100.0 * float(hits.sum() / beams.sum()),
         odometry_m=float(np.hypot(*moves_m).sum()) if has_pose.any() else None,
         without_odometry=int((~has_pose).sum()),
-        longest_without_odometry_s=float(np.diff(stamps_s[has_pose]).max(initial=0.0)),
         out_of_order=sum(log.skips.counts.get(reason, 0) for reason in (BACK, EQUAL, STRAY)),
         deskewed=log.deskewing.scans,
         topics=topics,

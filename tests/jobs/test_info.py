@@ -63,9 +63,7 @@ def test_stamps_out_of_order_are_counted(tmp_path: Path) -> None:
     path.write_text("\n".join([*lines, again]), encoding="ascii")
     found = describe(path).log
     assert found is not None
-    step_s = scans[1].scan.stamp_s - scans[0].scan.stamp_s
     assert (found.scans, found.out_of_order) == (20, 1)
-    assert found.longest_without_odometry_s == pytest.approx(step_s)
     assert 8.0 < found.run_time_s < 9.0
     assert found.run_memory_mb > 100.0
 
