@@ -550,5 +550,5 @@ def placed(pair: Pair, transform: Pose2) -> Alignment:
     found = SearchResult(pair.motion_of(transform)[None], None, "tracked")
     began = time.perf_counter()
     measured = conclude(pair, AlignConfig(), found, transform, 1, began)
-    reason = "placed over other maps, with which it is aligned"
+    reason = "its place follows from alignments with other maps"
     return replace(measured, transform=transform, accepted=True, reason=reason, decision="accepted")

@@ -77,7 +77,7 @@ def test_groups_of_many_maps_lie_in_their_places(
     searched = [pair for pair in found.pairs if not pair.reason.startswith("tracked")]
     assert len(searched) <= 16
     assert told[-1][0] == "vote"
-    over = [pair for pair in found.alignments.values() if pair.reason.startswith("placed over")]
+    over = [pair for pair in found.alignments.values() if pair.reason.startswith("its place")]
     assert over
     assert all(pair.decision == "accepted" for pair in over)
 
