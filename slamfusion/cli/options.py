@@ -99,10 +99,12 @@ def output(
     files: paths.Files = lambda path, _: [path],
     ends: Sequence[str] = (),
     needs: str = "",
+    metavar: str,
     **more: Any,
 ) -> Callable[[F], F]:
     """Return the option of a command that says where something is written; see ``OutputPath``."""
-    return click.option(*names, type=paths.OutputPath(files, ends, needs), **more)
+    kind = paths.OutputPath(files, ends, needs, is_folder=metavar == "DIR")
+    return click.option(*names, type=kind, metavar=metavar, **more)
 
 
 def main_output(parameter: str, metavar: str, text: str, files: paths.Files) -> Callable[[F], F]:

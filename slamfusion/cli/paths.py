@@ -45,16 +45,23 @@ class CasePath(InputPath):
 class OutputPath(InputPath):
     """A path that is written to: a file, or a folder or start of names for several.
 
-    A wrong suffix, or a missing extra that the module ``needs`` loads, is an error before any work.
+    A folder in place of a name, a wrong suffix, or a missing extra that the module ``needs`` loads,
+    is an error before any work.
     """
 
-    def __init__(self, files: Files, ends: Sequence[str] = (), needs: str = "") -> None:
+    def __init__(
+        self, files: Files, ends: Sequence[str] = (), needs: str = "", *, is_folder: bool = False
+    ) -> None:
         super().__init__(files)
-        self.ends, self.needs = ends, needs
+        self.ends, self.needs, self.is_folder = ends, needs, is_folder
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """Return the path."""
-        path = super().convert(value, param, ctx)
+        path: Path = super().convert(value, param, ctx)
+        is_folder = str(value).endswith(os.sep) or path.name in {"", ".."} or path.is_dir()
+        if is_folder and not self.is_folder and path.suffix != STORE_END:
+            message = f"{value}: wanted a name, found a folder; write e.g. {path / 'NAME'}"
+            self.fail(message, param, ctx)
         if self.ends and path.suffix.lower() not in self.ends:
             self.fail(f"{path}: wanted a name that ends in {', '.join(self.ends)}", param, ctx)
         if self.needs:
@@ -81,8 +88,6 @@ MAP, CASE_MAP = InputPath(_read_of_map), CasePath(_read_of_map)
 
 def stem_of(out: Path, suffixes: Collection[str]) -> Path:
     """Take ``-o OUT`` as the stem of files; one of their suffixes that was written is dropped."""
-    if out.name in {"", ".."} or (out.is_dir() and out.suffix != STORE_END):
-        raise click.UsageError(f"-o {out}: name the map too, e.g. -o {out / 'map'}")
     return out.with_suffix("") if out.suffix in suffixes else out
 
 

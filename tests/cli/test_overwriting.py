@@ -187,7 +187,7 @@ def test_the_line_names_the_input_that_was_given_and_its_file(
         "floor.yaml) with sub/../map.pgm; choose another name\n"
     )
     assert run_program(["slam", "gmapping", "d.log", "--save-state", "sub", "-o", "x"]) == 2
-    assert "sub is a folder; name a file" in capsys.readouterr().err
+    assert "sub: wanted a name, found a folder; write e.g. sub/NAME" in capsys.readouterr().err
 
 
 @pytest.mark.usefixtures("place")
