@@ -16,7 +16,7 @@ from typing import Any
 from slamfusion.align.starts import Starts, place_starts
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
-from slamfusion.errors import AlignmentError, SlamFusionError, TrajectoryError
+from slamfusion.errors import AlignmentError, ConfigError, SlamFusionError, TrajectoryError
 from slamfusion.evaluation.measured import GroundTruth, MeasuredPath, Measures
 from slamfusion.evaluation.trajectory_error import on_clock
 from slamfusion.evidence.beams import JudgedScans, ScanHits, judged_scans, scan_hits
@@ -93,9 +93,9 @@ def run_log(  # noqa: PLR0915 - one page, a heading a stage
         and raise nothing.
 
     Raises:
-        ConfigError: no producer, an unknown or a repeated one; or a path of no saved map, or two of
-            one. ``StartError``: a start names no producer and no saved map, or a single start does
-            not define the others.
+        ConfigError: no producer, an unknown or a repeated one, or one alone without a saved map; or
+            a path of no saved map, or two of one. ``StartError``: a start names no producer and no
+            saved map, or a single start does not define the others.
         LogError: the log cannot be opened.
         TrajectoryError: relations, odometry or truth cannot be read.
         MapFileError: a map cannot be read.
@@ -120,6 +120,7 @@ def run_log(  # noqa: PLR0915 - one page, a heading a stage
         SideBySide(names, Path(log), config, files.scan_odometry) as work,
     ):
         config = work.config
+        _check_count(*names, *saved.names)
         prepare()
         true_map = None
         if truth_map is not None:
@@ -248,6 +249,16 @@ def run_log(  # noqa: PLR0915 - one page, a heading a stage
         true_path=ground_truth.truth,
         begun_s=stages.begun_s,
     )
+
+
+def _check_count(*names: str) -> None:
+    """Refuse one map alone before any work."""
+    if len(names) < LEAST_FUSED:
+        raise ConfigError(
+            f"wanted at least {LEAST_FUSED} maps to fuse, found that of {names[0]} alone; name "
+            "more SLAMs in --producers, add a saved map with --inputs, or make this map with "
+            f"`slamfusion slam {names[0]}`"
+        )
 
 
 class _Stages:

@@ -166,6 +166,9 @@ def test_a_main_job_that_cannot_begin_is_an_error(place: Path, tmp_path: Path) -
     nobody = replace(RUN_DEFAULTS, run=replace(RUN_DEFAULTS.run, producers=("nobody",)))
     with pytest.raises(ConfigError, match="nobody"):
         run_log(place / "flat.log", nobody)
+    alone = replace(RUN_DEFAULTS, run=replace(RUN_DEFAULTS.run, producers=("graph",)))
+    with pytest.raises(ConfigError, match="found that of graph alone; "):
+        run_log(place / "flat.log", alone)
     with pytest.raises(OSError, match=r"absent\.log"):
         run_log(tmp_path / "absent.log")
 
