@@ -139,8 +139,8 @@ def describe(
 ) -> InfoDocument:
     """Describe a log, a bag, a map (of an image alone: with its resolution, metres) or a run."""
     path, config = Path(path), config or RunConfig()
-    if (path / RUN_RECORD).exists():
-        return _run_info(path)
+    if (path / RUN_RECORD).exists() and (run := _run_info(path)) is not None:
+        return run
     is_map = strip_gz(path.name).endswith(MAP_SUFFIXES) and path.name != METADATA
     if is_map or (path.is_dir() and not is_bag_folder(path) and any(path.glob("*.yaml"))):
         return _map_info(map_file(path), config, resolution)
@@ -228,10 +228,13 @@ def _map_info(path: Path, config: RunConfig, resolution: float | None) -> InfoDo
     return InfoDocument(path, map=found, remarks=remarks)
 
 
-def _run_info(folder: Path) -> InfoDocument:
+def _run_info(folder: Path) -> InfoDocument | None:
+    """Return what a run's record says; None for that of ``slamfusion fuse -o DIR/fused``."""
     path = folder / RUN_RECORD
     try:
         record: Mapping[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        if "groups" in record:
+            return None
         answer = record["recommendation"]
         found = RunInfo(
             log=record["log"],

@@ -13,6 +13,7 @@ from slamfusion.cli.program import run_program
 from slamfusion.errors import LogError, MapFileError
 from slamfusion.io import write_carmen
 from slamfusion.io.log import LogScan
+from slamfusion.jobs.fuse import fuse_maps, save_fused_maps
 from slamfusion.jobs.info import describe
 from tests.cli.command import SAMPLE
 from tests.slam.drives import drive
@@ -128,6 +129,16 @@ def test_a_run_has_its_recommendation_and_a_damaged_record_is_named(
     (tmp_path / "fused.json").write_text("{}", encoding="utf-8")
     with pytest.raises(MapFileError, match="wanted the record of a run"):
         describe(tmp_path)
+
+
+def test_a_folder_with_fused_maps_is_described_by_its_fused_map(tmp_path: Path) -> None:
+    maps = [SAMPLE / f"map_{letter}.yaml" for letter in "ab"]
+    save_fused_maps(fuse_maps(maps), tmp_path / "fused")
+    found = describe(tmp_path)
+    assert (found.map, found.file) == (
+        describe(tmp_path / "fused.yaml").map,
+        tmp_path / "fused.yaml",
+    )
 
 
 def test_what_is_none_of_these_is_named(tmp_path: Path) -> None:
