@@ -15,7 +15,7 @@ import numpy as np
 from slamfusion.errors import TrajectoryError
 from slamfusion.evaluation.statistics import ErrorStatistics, mean_interval
 from slamfusion.geometry import B8, F64, compose_poses, invert_poses, wrap_angles
-from slamfusion.io.lines import ROW_BYTES, strip_gz, text_lines
+from slamfusion.io.lines import KINDS, ROW_BYTES, strip_gz, text_lines
 from slamfusion.trajectory import Trajectory
 
 # A relation over a longer time joins two visits of one place.
@@ -136,6 +136,8 @@ def read_relations(path: str | Path) -> Relations:
         OSError: the file cannot be opened.
     """
     where = Path(path)
+    if strip_gz(where.name).endswith(".tum"):  # which has as many columns
+        raise TrajectoryError(f"{where}: wanted relations, found {KINDS['.tum']}")
     rows = []
     for number, line in text_lines(where, TrajectoryError, kept_bytes=ROW_BYTES):
         fields = line.split()

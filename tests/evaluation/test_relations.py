@@ -209,6 +209,13 @@ def test_a_file_without_relations_is_refused(tmp_path: Path, content: bytes) -> 
         read_relations(path)
 
 
+def test_a_path_is_not_taken_for_relations_although_it_has_as_many_columns(tmp_path: Path) -> None:
+    path = tmp_path / "truth.tum"
+    path.write_text("1 0 0 0 0 0 0 1\n", encoding="ascii")
+    with pytest.raises(TrajectoryError, match="wanted relations, found a path; "):
+        read_relations(path)
+
+
 @pytest.mark.datasets
 @pytest.mark.skipif(not CSAIL.is_dir(), reason=ABSENT)
 @pytest.mark.parametrize(
