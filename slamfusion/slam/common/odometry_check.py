@@ -192,8 +192,8 @@ def _laser_faults(fit: OdometryFit) -> Iterator[str]:
     if fit.turn is not None and fit.turn < -SPREAD and fit.turns_together >= TOGETHER:
         yield (
             f"the path turns against the odometry (slope {fit.turn:+.2f}): the laser is mounted "
-            "upside down or turns the other way, and the map is mirrored; use --laser mirrored "
-            "(nodes: laser:=mirrored)"
+            "upside down or turns the other way, and the map is mirrored; use --laser mirrored, "
+            "or leave it out if you have set it (nodes: laser:=mirrored)"
         )
     if fit.offset_rad is None or fit.drives_together < TOGETHER:
         return
@@ -201,8 +201,8 @@ def _laser_faults(fit: OdometryFit) -> Iterator[str]:
     if abs(fit.offset_rad) >= BACKWARD_RAD:
         yield (
             f"the path drives against the odometry ({abs(offset_deg):.0f} degrees): the laser "
-            "looks back, and the map and path are turned by half; use --laser backward (nodes: "
-            "laser:=backward)"
+            "looks back, and the map and path are turned by half; use --laser backward, or "
+            "leave it out if you have set it (nodes: laser:=backward)"
         )
     elif abs(fit.offset_rad) > OFFSET_RAD:
         yield (
