@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     "evaluate",
     cls=Command,
     examples=[
-        "evaluate out/*.yaml --truth truth.yaml",
+        "evaluate a.yaml b.yaml --truth truth.yaml",
         "evaluate map.yaml --distances measured.csv",
     ],
 )

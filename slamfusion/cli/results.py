@@ -64,7 +64,7 @@ def print_items(rows: Sequence[evaluation.measured.Row], what: str, leading: Seq
     cases = by_case.groupby(level="method", sort=False).size()
     means.index = [(f"mean of {cases[method]}", "", method) for method in means.index]
     in_cases = figures.index.unique("case").size
-    count = f"{len(figures)} {what}s in {in_cases} case{'s' * (in_cases != 1)}"
+    count = f"{len(figures)} results in {in_cases} case{'s' * (in_cases != 1)}"
     _print_figures([figures, *_repetitions(figures), means[(cases > 1).to_numpy()]], what, count)
     print_by_case(figures, what, leading)
     in_cases = figures.reset_index().groupby("method")["case"].agg(frozenset)

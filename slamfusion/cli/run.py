@@ -202,9 +202,11 @@ def command(
     _print(run)
     if is_opened:
         click.launch(str(run.report))
-    if reason := run.error or "; ".join(run.not_measured):
+    if reasons := run.not_measured if run.error is None else [run.error]:
+        others = len(reasons) - 1
+        more = f"; {others} more in the report" if others else ""
         earlier = "" if run.folder == out else f"; {out} keeps its earlier results"
-        raise SlamFusionError(f"{reason} (the files so far are in {run.folder}{earlier})")
+        raise SlamFusionError(f"{reasons[0]}{more} (the files so far are in {run.folder}{earlier})")
 
 
 def _print(run: jobs.run_files.LogRun) -> None:

@@ -203,8 +203,8 @@ def print_recommendation(answer: Recommendation) -> None:
 
 def path_table(answer: Recommendation) -> tuple[list[str], list[list[str]]]:
     """Return columns and rows of how well the scans support each path."""
-    columns = ["path ", "log-likelihood per hit, mean", "behind the best", "95 % interval"]
-    columns += ["apart from it [s]", "at most [m]"]
+    columns = ["path ", "log-likelihood per hit, mean", "behind the recommended path"]
+    columns += ["95 % interval", "apart from it [s]", "at most [m]"]
     rows = []
     for path in answer.paths:
         interval = path.behind_95

@@ -202,7 +202,7 @@ def test_paths_of_several_logs(ask: Ask, tmp_path: Path) -> None:
     words = ("north.log", *files, "--log", "south.log", "--truth", "south=south_good.tum")
     code, out, err = ask("judge", *words)
     assert code == 0, err
-    assert "3 paths in 2 cases" in out
+    assert "3 results in 2 cases" in out
     assert "south: Use the good path: no scan contradicts it" in out
     assert "north: Use the good path: no scan contradicts it" in out
     assert "means are of different cases" in err
