@@ -15,7 +15,7 @@ import numpy as np
 from slamfusion.errors import TrajectoryError
 from slamfusion.evaluation.statistics import ErrorStatistics, mean_interval
 from slamfusion.geometry import B8, F64, compose_poses, invert_poses, wrap_angles
-from slamfusion.io.lines import KINDS, ROW_BYTES, strip_gz, text_lines
+from slamfusion.io.lines import KINDS, ROW_BYTES, numbers, strip_gz, text_lines
 from slamfusion.trajectory import Trajectory
 
 # A relation over a longer time joins two visits of one place.
@@ -138,31 +138,20 @@ def read_relations(path: str | Path) -> Relations:
     where = Path(path)
     if strip_gz(where.name).endswith(".tum"):  # which has as many columns
         raise TrajectoryError(f"{where}: wanted relations, found {KINDS['.tum']}")
-    rows = []
+    rows, wanted = [], f"'{' '.join(_COLUMNS)}'"
     for number, line in text_lines(where, TrajectoryError, kept_bytes=ROW_BYTES):
-        fields = line.split()
-        if fields and not fields[0].startswith(b"#"):
-            rows.append(_row(fields, f"{where}: line {number}"))
+        fields, at = line.split(), f"{where}: line {number}"
+        if not fields or fields[0].startswith(b"#"):
+            continue
+        if len(fields) != len(_COLUMNS):
+            message = f"{at}: wanted {wanted}, found {len(fields)} columns; fix or remove the line"
+            raise TrajectoryError(message)
+        rows.append(numbers(fields, at, TrajectoryError))
     if not rows:
-        message = f"{where}: wanted lines '{' '.join(_COLUMNS)}', found none; check the file"
-        raise TrajectoryError(message)
+        raise TrajectoryError(f"{where}: wanted lines {wanted}, found none; check the file")
     table = np.array(rows)
     name = Path(strip_gz(where.name)).stem or where.name
     return Relations(table[:, :2], table[:, (_X, _Y, _YAW)], name)
-
-
-def _row(fields: list[bytes], where: str) -> list[float]:
-    wanted = f"'{' '.join(_COLUMNS)}'"
-    if len(fields) != len(_COLUMNS):
-        message = f"{where}: wanted {wanted}, found {len(fields)} columns; fix or remove the line"
-        raise TrajectoryError(message)
-    try:
-        row = [float(field) for field in fields]
-    except ValueError:
-        row = [math.nan]
-    if not all(map(math.isfinite, row)):
-        raise TrajectoryError(f"{where}: wanted finite numbers {wanted}; fix or remove the line")
-    return row
 
 
 def relation_errors(

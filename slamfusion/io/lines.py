@@ -5,8 +5,9 @@ from __future__ import annotations
 import codecs
 import gzip
 import io
+import math
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -83,6 +84,37 @@ KINDS = {
         "`slam`, --truth of other commands",
     ),
 }
+
+
+def numbers(
+    fields: Sequence[bytes],
+    at: str,
+    error: type[SlamFusionError],
+    columns: Iterable[int] | None = None,
+) -> list[float]:
+    """Return the finite numbers in columns of a line, by default all; else raise the error.
+
+    ``at``: the file and the line, for its message.
+    """
+    found = []
+    for column in range(len(fields)) if columns is None else columns:
+        try:
+            value = float(fields[column])
+        except ValueError:
+            value = math.nan
+        if not math.isfinite(value):
+            raise error(
+                f"{at}, column {column + 1} of {len(fields)}: wanted a finite number, found "
+                f"{printable(fields[column])!r}; fix or remove the line"
+            )
+        found.append(value)
+    return found
+
+
+def printable(text: bytes) -> str:
+    """Return the begin of a line or field for a message."""
+    words = text.decode("ascii", "replace")[:60]
+    return "".join(item if item.isprintable() else "?" for item in words)
 
 
 def strip_gz(name: str) -> str:

@@ -5,13 +5,12 @@ For a corrected log, whose own poses are the result of a SLAM.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from pathlib import Path
 
 from slamfusion.errors import LogError
 from slamfusion.geometry import Pose2, wrap_angle
-from slamfusion.io.lines import ROW_BYTES, text_lines
+from slamfusion.io.lines import ROW_BYTES, numbers, text_lines
 
 PoseRow = tuple[float, float, float]
 
@@ -43,16 +42,16 @@ def read_scan_odometry(
     columns: list[str] = []
     rows: list[dict[str, float]] = []
     for number, line in text_lines(where, LogError, kept_bytes=ROW_BYTES):
-        fields = line.decode("ascii", "replace").strip().split(",")
+        fields = line.strip().split(b",")
         if not columns:
-            columns = [name.strip() for name in fields]
+            columns = [name.decode("ascii", "replace").strip() for name in fields]
             missing = [name for name in (INDEX, *POSE) if name not in columns]
             if missing:
                 raise LogError(
                     f"{where}: wanted the columns {', '.join((INDEX, *POSE))} in the first line, "
                     f"found no {', '.join(missing)}; give a CSV file with these"
                 )
-        elif fields != [""]:
+        elif fields != [b""]:
             rows.append(_row(fields, columns, len(rows), f"{where}: line {number}"))
     if not rows:
         raise LogError(f"{where}: wanted a row for each scan, found none; check the file")
@@ -72,17 +71,13 @@ def read_scan_odometry(
     return [Pose2(*(row[name] for name in POSE)) for row in rows]
 
 
-def _row(fields: list[str], columns: list[str], index: int, where: str) -> dict[str, float]:
-    """Return the numbers of one line by column; index and pose must be finite."""
-    try:
-        row = dict(zip(columns, map(float, fields), strict=True))
-    except ValueError:
-        row = {}
-    if not row or not all(math.isfinite(row[name]) for name in (INDEX, *POSE)):
-        raise LogError(
-            f"{where}: wanted {len(columns)} finite numbers, found {','.join(fields)[:60]!r}; "
-            "fix the line"
-        )
+def _row(fields: list[bytes], columns: list[str], index: int, where: str) -> dict[str, float]:
+    """Return the numbers of one line by column."""
+    if len(fields) != len(columns):
+        message = f"{where}: wanted {len(columns)} columns, found {len(fields)}; fix the line"
+        raise LogError(message)
+    used = [name for name in (INDEX, *POSE, *LOGGED) if name in columns]
+    row = dict(zip(used, numbers(fields, where, LogError, map(columns.index, used)), strict=True))
     if row[INDEX] != index:
         raise LogError(
             f"{where}: wanted the row of index {index}, found {row[INDEX]:g}: a row is missing or "

@@ -17,7 +17,16 @@ from slamfusion.geometry import F64, quaternion_yaw_rad, wrap_angle
 from slamfusion.io.bags import METADATA
 from slamfusion.io.carmen import CARMEN_WORDS
 from slamfusion.io.files import write_atomic
-from slamfusion.io.lines import KINDS, MAP_SUFFIXES, ROW_BYTES, packed_by_name, strip_gz, text_lines
+from slamfusion.io.lines import (
+    KINDS,
+    MAP_SUFFIXES,
+    ROW_BYTES,
+    numbers,
+    packed_by_name,
+    printable,
+    strip_gz,
+    text_lines,
+)
 from slamfusion.io.log import odometry_path
 from slamfusion.io.logs import BAG_SUFFIXES, bag_at, open_log
 from slamfusion.io.tinyslam_dat import FIELDS
@@ -167,7 +176,7 @@ def _rows(where: Path, first: list[bytes], columns: Columns | None) -> Iterator[
             count = f"{len(first)} column{'s' if len(first) > 1 else ''}"
             causes = dict.fromkeys((_PLANAR, _TUM), ", the first of them no time")
             cause = (causes | {_KITTI: " as in KITTI, without a time"}).get(len(first), "")
-            shown = _printable(b" ".join(first))
+            shown = printable(b" ".join(first))
             raise TrajectoryError(
                 f"{where}: wanted {_WANTED}, found {count}{cause}: {shown!r} in the first line; "
                 "check the file"
@@ -184,14 +193,8 @@ def _rows(where: Path, first: list[bytes], columns: Columns | None) -> Iterator[
                 f"{at}: wanted {len(first)} columns as in the lines before, found {len(fields)}; "
                 "fix or remove the line"
             )
-        values = _floats([fields[i] for i, _ in columns], at)
-        wrong = [columns[i][0] + 1 for i, value in enumerate(values) if not math.isfinite(value)]
+        values = numbers(fields, at, TrajectoryError, (column for column, _ in columns))
         length = math.hypot(*values[4:]) if len(values) == _TUM else 1.0
-        if wrong or not length:
-            which = f"column {wrong[0]}" if wrong else "the quaternion of columns 5 to 8"
-            raise TrajectoryError(
-                f"{at}, {which} of {len(fields)}: not a finite pose; fix or remove the line"
-            )
         if abs(length - 1.0) > _QUATERNION_SLACK:
             raise TrajectoryError(
                 f"{at}: the quaternion has length {length:.3g}, wanted 1; check that this is a TUM "
@@ -211,28 +214,12 @@ def _second(times: F64) -> float:
     return 10.0 ** -next((d for d in (0, 3, 6) if latest < _SECONDS_BELOW * 10.0**d), 9)
 
 
-def _floats(fields: list[bytes], at: str) -> list[float]:
-    try:
-        return [float(item) for item in fields]
-    except ValueError:
-        wrong = next(index for index, item in enumerate(fields) if not _is_number(item))
-        raise TrajectoryError(
-            f"{at}, column {wrong + 1} of {len(fields)}: wanted a number, found "
-            f"{_printable(fields[wrong])!r}; fix or remove the line"
-        ) from None
-
-
 def _is_number(text: bytes) -> bool:
     try:
         float(text)
     except ValueError:
         return False
     return True
-
-
-def _printable(text: bytes) -> str:
-    words = text.decode("ascii", "replace")[:60]
-    return "".join(item if item.isprintable() else "?" for item in words)
 
 
 # --- the plane ------------------------------------------------------------------------------------
@@ -325,7 +312,7 @@ def _read_graph(where: Path, name: str) -> Trajectory | None:
             if len(fields) != 5:
                 message = f"{where}: line {number}: wanted 'VERTEX2 id x y theta'; fix the line"
                 raise TrajectoryError(message)
-            pose = _floats(fields[2:], f"{where}: line {number}")
+            pose = numbers(fields, f"{where}: line {number}", TrajectoryError, (2, 3, 4))
             vertices += 1
         elif pose is not None and line.startswith(b"ROBOTLASER1"):
             row = _vertex_row(pose, line.rsplit(None, 11))

@@ -187,9 +187,9 @@ def test_files_are_read_plain_and_packed(tmp_path: Path, packed: bool) -> None:
     [
         ("1 2 3 4 5 6 7", "line 4: wanted 't1 t2 x y z roll pitch yaw', found 7 columns"),
         ("1 2 3 4 5 6 7 8 9", "line 4: wanted 't1 t2 x y z roll pitch yaw', found 9 columns"),
-        ("1 2 3 4 5 6 7 x", "line 4: wanted finite numbers"),
-        ("1 2 nan 4 5 6 7 8", "line 4: wanted finite numbers"),
-        ("inf 2 3 4 5 6 7 8", "line 4: wanted finite numbers"),
+        ("1 2 3 4 5 6 7 x", "line 4, column 8 of 8: wanted a finite number, found 'x'"),
+        ("1 2 nan 4 5 6 7 8", "line 4, column 3 of 8: wanted a finite number"),
+        ("inf 2 3 4 5 6 7 8", "line 4, column 1 of 8: wanted a finite number"),
         ("\x00\xff\x01", "line 4: wanted 't1"),
     ],
 )
