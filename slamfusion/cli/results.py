@@ -6,20 +6,22 @@ import functools
 import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 
 import click
 
 from slamfusion import evaluation, jobs
 from slamfusion.cli import options, output
 from slamfusion.io.files import AtomicFiles
-from slamfusion.jobs.records import number, spread
+from slamfusion.jobs.records import Summaries, number, spread
 from slamfusion.json_values import plain
 
 if TYPE_CHECKING:
     import pandas as pd
 
 F = TypeVar("F", bound=Callable[..., Any])
+# Case, seed and method, and figures by name.
+Item: TypeAlias = tuple[tuple[str, str, str], Mapping[str, float]]
 
 # Its import says what to install.
 RESULTS = "slamfusion.jobs.results"
@@ -59,13 +61,16 @@ def save_results(
 def print_items(rows: Sequence[evaluation.measured.Row], what: str, leading: Sequence[str]) -> None:
     """Print a row of figures for each item, the means, and the leading figures case by case."""
     figures = jobs.results.figures_of(jobs.results.results_table(rows))
-    by_case = jobs.results.means_of(figures, ["case", "method"])
-    means = jobs.results.means_of(by_case, ["method"])
-    cases = by_case.groupby(level="method", sort=False).size()
-    means.index = [(f"mean of {cases[method]}", "", method) for method in means.index]
+    found = jobs.results.summaries(rows)
     in_cases = figures.index.unique("case").size
     count = f"{len(figures)} results in {in_cases} case{'s' * (in_cases != 1)}"
-    _print_figures([figures, *_repetitions(figures), means[(cases > 1).to_numpy()]], what, count)
+    means: list[Item] = [
+        ((f"mean of {own['cases']}", "", own["method"]), own["figures"])
+        for own in found.means
+        if own["cases"] > 1
+    ]
+    items = zip(figures.index, figures.to_dict("records"), strict=True)
+    _print_figures([*items, *_repetitions(found), *means], what, count)
     print_by_case(figures, what, leading)
     in_cases = figures.reset_index().groupby("method")["case"].agg(frozenset)
     if len(set(in_cases)) > 1:
@@ -74,35 +79,29 @@ def print_items(rows: Sequence[evaluation.measured.Row], what: str, leading: Seq
 
 def print_repetitions(rows: Sequence[evaluation.measured.Row], what: str) -> None:
     """Print mean and deviation over the seeds of each method, where there are several."""
-    if any(row[1] for row in rows):
-        found = _repetitions(jobs.results.figures_of(jobs.results.results_table(rows)))
-        if len(found[0]):
-            _print_figures(found, what, "Mean and sample deviation over the seeds")
+    if any(row[1] for row in rows) and (found := _repetitions(jobs.results.summaries(rows))):
+        _print_figures(found, what, "Mean and sample deviation over the seeds")
 
 
-def _repetitions(figures: pd.DataFrame) -> list[pd.DataFrame]:
+def _repetitions(found: Summaries) -> list[Item]:
     """Return means and deviations over the seeds of each case and method that has several."""
-    keys = ["case", "method"]
-    seeds = figures.groupby(level=keys, sort=False).size()
-    found = []
-    for how in ("mean", "std"):
-        rows = jobs.results.means_of(figures, keys, how)
-        rows.index = [
-            (case, f"{how} of {seeds[case, method]}", method) for case, method in rows.index
-        ]
-        found.append(rows[(seeds > 1).to_numpy()])
-    return found
-
-
-def _print_figures(tables: Sequence[pd.DataFrame], what: str, title: str) -> None:
-    """Print the figures of tables by case, seed and method; the seed only if there is one."""
-    figures = [evaluation.measured.figure_of(name) for name in tables[0].columns]
-    rows = [
-        [*key, *(number(value, own.digits) for value, own in zip(values, figures, strict=True))]
-        for table in tables
-        for key, values in zip(table.index, table.to_numpy(), strict=True)
+    return [
+        ((own["case"], f"{how} of {own['seeds']}", own["method"]), figures)
+        for how in ("mean", "std")
+        for own in found.repetitions
+        for figures in [own["std" if how == "std" else "figures"]]
     ]
-    columns = ["case ", "seed ", f"{what} ", *(own.label for own in figures)]
+
+
+def _print_figures(items: Sequence[Item], what: str, title: str) -> None:
+    """Print the figures of items; the seed only if there is one."""
+    names = dict.fromkeys(name for _, own in items for name in own)
+    figures = {name: evaluation.measured.figure_of(name) for name in names}
+    rows = [
+        [*key, *(number(own.get(name), figure.digits) for name, figure in figures.items())]
+        for key, own in items
+    ]
+    columns = ["case ", "seed ", f"{what} ", *(figure.label for figure in figures.values())]
     if not any(row[1] for row in rows):
         columns, rows = columns[:1] + columns[2:], [row[:1] + row[2:] for row in rows]
     output.print_table(columns, rows, title=title, names=len(columns) - len(figures))
