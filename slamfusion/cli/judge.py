@@ -144,12 +144,12 @@ def _print_one(found: jobs.judge.JudgedPaths) -> None:
     answer = found.recommendation
     columns, rows = path_table(answer)
     heads = {"ATE": "ATE rmse [m]", "relations": "relations mean [m]"}
-    for kind, errors in evaluation.measured.errors_m(found.measured).items():
+    for kind, errors in evaluation.measured.rankings(found.measured).items():
         if errors:
-            ranks = {name: str(rank) for rank, name in enumerate(errors, start=1)}
             columns += [heads[kind], "rank"]
             for row, path in zip(rows, answer.paths, strict=True):
-                row += [number(errors.get(path.name), 4), ranks.get(path.name, output.NOTHING)]
+                error_m, rank = errors.get(path.name, (None, None))
+                row += [number(error_m, 4), number(rank, 0)]
     output.print_table(
         columns, rows, title=f"Paths of {found.files.log}, the recommended one first"
     )

@@ -301,15 +301,21 @@ class MeasuredPath:
         object.__setattr__(self, "path_length_m", self.trajectory.path_length_m())
 
 
-def errors_m(paths: Sequence[MeasuredPath]) -> dict[str, dict[str, float]]:
-    """Return ATE and mean error on the relations of measured paths, metres, the least first."""
+def rankings(paths: Sequence[MeasuredPath]) -> dict[str, dict[str, tuple[float, int]]]:
+    """Return ATE and mean error on the relations of paths, metres, with the rank; least first."""
     truths = {own.name: own.measures.truth for own in paths}
     known = {own.name: own.measures.relations for own in paths}
     found = {
         "ATE": {name: own.ate.rmse for name, own in truths.items() if own is not None},
         "relations": {name: own.translation.mean for name, own in known.items() if own is not None},
     }
-    return {kind: dict(sorted(own.items(), key=itemgetter(1))) for kind, own in found.items()}
+    return {
+        kind: {
+            name: (error_m, rank)
+            for rank, (name, error_m) in enumerate(sorted(own.items(), key=itemgetter(1)), start=1)
+        }
+        for kind, own in found.items()
+    }
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,7 +15,7 @@ from slamfusion.evaluation.measured import (
     Measures,
     Row,
     error_series,
-    errors_m,
+    rankings,
     result_rows,
 )
 from slamfusion.evaluation.trajectory_error import on_clock
@@ -57,7 +57,7 @@ class JudgedPaths:
 
     def __post_init__(self) -> None:
         """Rank the paths."""
-        ranked = errors_m(self.measured)
+        ranked = rankings(self.measured)
         vars(self).update(
             path_evidence=self.recommendation.paths,
             ranking_by_truth=tuple(ranked["ATE"]),
@@ -232,15 +232,9 @@ def write_judgement(found: JudgedPaths, directory: str | Path) -> Path:
         page.Section("Over the drive", "", [strip]),
         paths.evidence_section(answer, evidence),
     ]
-    if known := {kind: own for kind, own in errors_m(found.measured).items() if own}:
-        ranks = {
-            kind: dict(zip(own, range(1, len(own) + 1), strict=True)) for kind, own in known.items()
-        }
+    if known := {kind: own for kind, own in rankings(found.measured).items() if own}:
         rows = [
-            (
-                path.name,
-                [(own.get(path.name), ranks[kind].get(path.name)) for kind, own in known.items()],
-            )
+            (path.name, [own.get(path.name, (None, None)) for own in known.values()])
             for path in answer.paths
         ]
         heads = [word for kind in known for word in (f"#{kind} [m]", "#rank")]

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
-from slamfusion.evaluation.measured import GroundTruth, MeasuredPath, Row, errors_m, result_rows
+from slamfusion.evaluation.measured import GroundTruth, MeasuredPath, Row, rankings, result_rows
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import read_trajectory
 from slamfusion.jobs.cases import Placed
@@ -182,11 +182,11 @@ def write_trajectories(
 def _headline(cases: Mapping[str, Sequence[MeasuredPath]]) -> str:
     """Name the path with the smallest error; of several cases the number of paths."""
     measured = [item for own in cases.values() for item in own]
-    known = errors_m(measured)
+    known = rankings(measured)
     if len(cases) > 1 or not any(known.values()):
         return f"{len(measured)} paths of {len(cases)} cases"
     errors = known["ATE"] or known["relations"]
-    best, error_m = next(iter(errors.items()))
+    best, (error_m, _) = next(iter(errors.items()))
     kind = "from the truth (ATE rmse)" if known["ATE"] else "off the relations (mean)"
     place = f", the nearest of {len(errors)}" if len(errors) > 1 else ""
     return f"{best}: {error_m:.4f} m {kind}{place}"

@@ -15,8 +15,8 @@ from slamfusion.io import read_trajectory, write_tum
 from slamfusion.io.carmen import write_carmen
 from slamfusion.jobs.judge import (
     JudgeDocument,
-    errors_m,
     judge_paths,
+    rankings,
     write_fused_path,
     write_judgement,
 )
@@ -66,7 +66,7 @@ def test_paths_are_ranked_without_a_truth(drive: Path) -> None:
 def test_with_a_truth_there_are_both_rankings(drive: Path) -> None:
     files = [drive / "bent.tum", drive / "elsewhere.tum"]
     found = judge_paths(drive / "drive.log", files, RunConfig(), truth=drive / "truth.tum")
-    assert list(errors_m(found.measured)["ATE"]) == ["elsewhere", "bent"]
+    assert list(rankings(found.measured)["ATE"]) == ["elsewhere", "bent"]
     assert found.ranking_by_relations == ()
     document = plain(JudgeDocument(found, found.circumstances))
     check_document(document, "judge")
@@ -85,7 +85,7 @@ def test_one_path_is_made_of_all_and_judged_beside_them(drive: Path, tmp_path: P
     assert {path.name for path in answer.paths} == {"bent", "elsewhere", "sparse", "fused"}
     assert answer.path == "fused"
     assert answer.best_single in {"elsewhere", "sparse"}
-    assert errors_m(found.measured)["ATE"]["fused"] < 0.02
+    assert rankings(found.measured)["ATE"]["fused"][0] < 0.02
     check_document(plain(JudgeDocument(found, found.circumstances)), "judge")
     fused = found.fused_path
     assert (fused.file, fused.poses) == (out, len(TRUTH))
@@ -133,7 +133,7 @@ def test_the_report_shows_the_drive_and_the_errors(drive: Path, tmp_path: Path) 
     assert f"<h1>{found.recommendation.headline}</h1>" in text
     assert "<strong>Single SLAM:</strong> elsewhere" in text
     assert "<details><summary>The scores</summary>" in text
-    assert f"{errors_m(found.measured)['ATE']['bent']:.4f}" in text
+    assert f"{rankings(found.measured)['ATE']['bent'][0]:.4f}" in text
     assert "relations, m" not in text, "there were none"
     # A path alone.
     alone = judge_paths(drive / "drive.log", files[:1])
