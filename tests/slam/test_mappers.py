@@ -17,6 +17,7 @@ from slamfusion.errors import SlamFusionError
 from slamfusion.geometry import Pose2
 from slamfusion.io.log import LogScan
 from slamfusion.scan import LaserScan
+from slamfusion.slam.common.mapper import BLIND
 from slamfusion.slam.registry import (
     make_producer,
     open_producer_device,
@@ -39,7 +40,6 @@ NAMES = tuple(SETTINGS)
 RESUMABLE = tuple(name for name in NAMES if producer(name).load is not None)
 # Greatest error of place, metres: particles are few.
 NEAR_M = {"tinyslam": 0.1, "gmapping": 0.2, "graph": 0.1}
-BLIND = "no reading within the usable range"
 
 
 def config(name: str, seed: int = 0, **settings: Any) -> RunConfig:

@@ -14,6 +14,9 @@ from slamfusion.json_values import printed_as
 from slamfusion.scan import LaserScan
 from slamfusion.trajectory import Trajectory
 
+# Why a scan is passed over that no mapper can use.
+BLIND = "no reading within the usable range"
+
 
 @dataclass(frozen=True)
 class Step:

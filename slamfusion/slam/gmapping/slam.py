@@ -26,7 +26,7 @@ from slamfusion.errors import SlamFusionError
 from slamfusion.geometry import I64, Pose2, compose_poses, pose_of, row_of, wrap_angle
 from slamfusion.grid import IDENTITY, OccupancyGrid
 from slamfusion.scan import LaserScan
-from slamfusion.slam.common.mapper import Health, Series, Step
+from slamfusion.slam.common.mapper import BLIND, Health, Series, Step
 from slamfusion.slam.common.matcher import PoseHypothesis
 from slamfusion.slam.common.state import SavedMapper
 from slamfusion.slam.common.tracking import Tracker
@@ -123,7 +123,7 @@ class Gmapping(SavedMapper):
             self._particles.poses[:] = hypotheses[0].pose
         beams = beams_of(scan, self._config)
         if not beams.is_hit.any():
-            step = self._skip("no reading within the usable range", hypotheses[0])
+            step = self._skip(BLIND, hypotheses[0])
         elif not self._is_mapped:
             step = self._begin(scan.stamp_s, beams)
         else:

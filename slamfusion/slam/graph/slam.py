@@ -23,7 +23,7 @@ from slamfusion.errors import SlamFusionError
 from slamfusion.geometry import Pose2, pose_of, wrap_angle
 from slamfusion.grid import IDENTITY, OccupancyGrid
 from slamfusion.scan import LaserScan
-from slamfusion.slam.common.mapper import Closure, MapJob, Series, Step
+from slamfusion.slam.common.mapper import BLIND, Closure, MapJob, Series, Step
 from slamfusion.slam.common.matcher import PoseHypothesis
 from slamfusion.slam.common.runner import FIRST_REPORTED
 from slamfusion.slam.common.state import SavedMapper
@@ -93,7 +93,7 @@ class GraphSlam(SavedMapper):
         points = scan.points(scan.is_hit(self._config.usable_range_m))
         seen = Observation(scan, points, known)
         if len(points) == 0:
-            step = self._skip("no reading within the usable range", hypotheses[0], seen)
+            step = self._skip(BLIND, hypotheses[0], seen)
         elif not self._graph.nodes:
             step = self._begin(seen, hypotheses[0])
         else:

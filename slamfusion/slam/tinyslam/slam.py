@@ -22,7 +22,7 @@ from slamfusion.errors import SlamFusionError
 from slamfusion.geometry import F64, I8, I32, U32, Pose2, corners, pose_of, row_of
 from slamfusion.grid import UNKNOWN, OccupancyGrid
 from slamfusion.scan import LaserScan
-from slamfusion.slam.common.mapper import Health, Series, Step
+from slamfusion.slam.common.mapper import BLIND, Health, Series, Step
 from slamfusion.slam.common.matcher import FieldMap, Match, PoseHypothesis
 from slamfusion.slam.common.state import Rows
 from slamfusion.slam.common.tile_map import TileMap, known_part
@@ -144,9 +144,8 @@ class TinySlam:
             self._anchor = np.floor(hypotheses[0].pose[:2] / cell) * cell
         points = scan.points(scan.is_hit(self._config.usable_range_m))
         if len(points) == 0:
-            reason = "no reading within the usable range"
-            self.health.skips.add(reason, self.health.scans)
-            step = Step(pose_of(hypotheses[0].pose), used=False, match_score=None, reason=reason)
+            self.health.skips.add(BLIND, self.health.scans)
+            step = Step(pose_of(hypotheses[0].pose), used=False, match_score=None, reason=BLIND)
         else:
             step = self._use(scan, points, hypotheses)
         self._tracker.advance(step.pose_map_base, odometry, scan.stamp_s)

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import GraphConfig
-from slamfusion.geometry import F64, Pose2
+from slamfusion.geometry import F64, Pose2, row_of
 from slamfusion.pose_graph.uncertainty import turned
 from slamfusion.slam.common.matcher import (
     MOST_SIGMA,
@@ -85,7 +85,7 @@ def spread_of_matches(place: Place, index: int) -> tuple[F64, F64]:
     """
     beams = GraphConfig().matcher.beams
     pose = true_poses(120)[index]
-    rng, truth = np.random.default_rng(1), np.array([pose.x, pose.y, pose.yaw_rad])
+    rng, truth = np.random.default_rng(1), row_of(pose)
     found, told = [], []
     for seed in range(100):
         points = place.points(pose, 1000 + seed, 0.015)
@@ -131,10 +131,6 @@ def keep_prior(scan: ScanOnTiles, match: F64, expected: F64) -> F64:
     return keep_degenerate_prior(response_hessian(scan, match), match, expected)
 
 
-def vector(pose: Pose2) -> F64:
-    return np.array([pose.x, pose.y, pose.yaw_rad])
-
-
 @pytest.mark.parametrize("yaw_rad", [0.0, math.pi / 2, -math.pi])
 @pytest.mark.parametrize("ahead_m", [-0.4, 0.07, 1.5])
 @pytest.mark.parametrize("aside_m", [-0.3, 0.0, 0.2])
@@ -144,11 +140,11 @@ def test_along_bare_walls_odometry_has_its_way(
     """A match in the middle of two walls; odometry is ahead of it, aside, and turned."""
     frame = Pose2(0.4, -0.3, yaw_rad)
     scan = scan_of(device, frame, two_walls(6.0), two_walls(3.0))
-    match = vector(frame)
-    expected = vector(frame.compose(Pose2(ahead_m, aside_m, 0.1)))
+    match = row_of(frame)
+    expected = row_of(frame.compose(Pose2(ahead_m, aside_m, 0.1)))
     before = match.copy()
     kept = keep_prior(scan, match, expected)
-    wanted = vector(frame.compose(Pose2(ahead_m, 0.0, 0.0)))
+    wanted = row_of(frame.compose(Pose2(ahead_m, 0.0, 0.0)))
     np.testing.assert_allclose(kept[:2], wanted[:2], atol=1e-3)
     assert kept[2] == match[2]
     assert match.tobytes() == before.tobytes()
@@ -160,6 +156,6 @@ def test_in_a_room_a_match_stays_where_it_is(flat: Place, index: int):
     for seed in range(5):
         points = flat.points(pose, seed, 0.015)
         scan = ScanOnTiles(flat.device, flat.submap.walls(), points, 180)
-        match = vector(pose)
+        match = row_of(pose)
         kept = keep_prior(scan, match, match + np.array([1.0, -2.0, 0.5]))
-        assert kept.tobytes() == vector(pose).tobytes()
+        assert kept.tobytes() == row_of(pose).tobytes()

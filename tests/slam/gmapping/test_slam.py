@@ -19,6 +19,7 @@ from slamfusion.geometry import Pose2
 from slamfusion.io.log import LogScan
 from slamfusion.json_values import plain
 from slamfusion.scan import LaserScan
+from slamfusion.slam.common.mapper import BLIND
 from slamfusion.slam.gmapping.particles import ParticleMaps, beams_of
 from slamfusion.slam.gmapping.slam import Gmapping
 from tests.slam.drives import drive, scan_at, true_poses
@@ -65,7 +66,6 @@ SETTINGS: dict[str, Any] = {
 }
 # Resampled at every step at which the weights are not quite equal, and they are not evened out.
 OFTEN: dict[str, Any] = {"resampleThreshold": 1.0, "linearUpdate": 0.15, "ogain": 0.2}
-BLIND = "no reading within the usable range"
 
 
 def config(**settings: Any) -> GmappingConfig:

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import GraphConfig
-from slamfusion.geometry import F64, Pose2, wrap_angle
+from slamfusion.geometry import F64, Pose2, row_of, wrap_angle
 from slamfusion.slam.common.matcher import LEAST_SIGMA, MOST_SIGMA
 from slamfusion.slam.graph.closure_search import LOCAL_DRIFT_M, ClosureSearch, Found
 from slamfusion.slam.graph.submap import Submap
@@ -27,10 +27,6 @@ MEAN_SCORE = 0.75
 @pytest.fixture(scope="module")
 def search(device: ComputeDevice) -> ClosureSearch:
     return ClosureSearch(GraphConfig(), device, np.random.default_rng(0))
-
-
-def vector(pose: Pose2) -> F64:
-    return np.array([pose.x, pose.y, pose.yaw_rad])
 
 
 def hits(cells: U8, pose: Pose2, reach_m: float = 8.0) -> F64:
@@ -78,7 +74,7 @@ def test_a_place_is_found_as_far_off_as_it_may_be(
 ):
     for index in (40, 62, 80):
         truth = true_poses(120)[index]
-        expected = vector(truth) + np.array(wrong)
+        expected = row_of(truth) + np.array(wrong)
         found = search.near(flat, hits(draw_flat(), truth), expected, drift_m, MEAN_SCORE)
         assert is_at(found, truth), f"{index}: {found}"
         assert isinstance(found, Found)
@@ -109,10 +105,10 @@ def test_no_other_place_than_the_true_one_is_found(
 ):
     """From anywhere in the flat, also where the robot never was: few walls in common blur it."""
     truth = Pose2(*at)
-    expected = vector(truth) + np.array(wrong) * (drift_m, drift_m, 0.05)
+    expected = row_of(truth) + np.array(wrong) * (drift_m, drift_m, 0.05)
     found = search.near(flat, hits(draw_flat(), truth), expected, drift_m, MEAN_SCORE)
     if not isinstance(found, str):
-        assert is_at(found, truth, most_m=0.4, most_rad=0.1), found.pose - vector(truth)
+        assert is_at(found, truth, most_m=0.4, most_rad=0.1), found.pose - row_of(truth)
 
 
 # -- why one is not found --------------------------------------------------------------------------
@@ -127,13 +123,13 @@ def test_a_bare_corridor_leaves_the_place_open(
     reasons = []
     for index in range(10):
         truth = Pose2(12.0 + 0.2 * index, 1.5)
-        found = search.near(submap, hits(cells, truth), vector(truth), drift_m, MEAN_SCORE)
+        found = search.near(submap, hits(cells, truth), row_of(truth), drift_m, MEAN_SCORE)
         reasons.append(found if isinstance(found, str) else "found")
     assert reasons.count("degenerate direction") >= 8
     # The end of the same corridor is told.
     submap = seen(device, cells, [Pose2(0.8 + 0.2 * index, 1.5) for index in range(12)])
     truth = Pose2(1.5, 1.5, 3.0)
-    assert is_at(search.near(submap, hits(cells, truth), vector(truth), drift_m, MEAN_SCORE), truth)
+    assert is_at(search.near(submap, hits(cells, truth), row_of(truth), drift_m, MEAN_SCORE), truth)
 
 
 def test_pillars_at_every_metre_fit_twice(device: ComputeDevice, search: ClosureSearch):
@@ -143,7 +139,7 @@ def test_pillars_at_every_metre_fit_twice(device: ComputeDevice, search: Closure
     for index in range(5):
         truth = Pose2(6.0 + 0.17 * index, 1.5)
         points = hits(cells, truth, 3.0)
-        assert search.near(submap, points, vector(truth), 1.2, MEAN_SCORE) == "two places fit"
+        assert search.near(submap, points, row_of(truth), 1.2, MEAN_SCORE) == "two places fit"
         assert search.anywhere(submap, points, MEAN_SCORE) == "two places fit"
         # Of one that has hardly drifted it is known which.
-        assert is_at(search.near(submap, points, vector(truth), 0.3, MEAN_SCORE), truth)
+        assert is_at(search.near(submap, points, row_of(truth), 0.3, MEAN_SCORE), truth)

@@ -14,6 +14,7 @@ from slamfusion.config import GraphConfig
 from slamfusion.geometry import F64, Pose2
 from slamfusion.io.log import LogScan
 from slamfusion.scan import LaserScan
+from slamfusion.slam.common.mapper import BLIND
 from slamfusion.slam.graph.slam import GraphSlam
 from tests.slam.drives import CELL_M, draw_flat, drive, scan_at, true_poses
 from tests.slam.places import (
@@ -38,8 +39,6 @@ from tests.slam.places import (
 )
 
 pytestmark = pytest.mark.once
-
-BLIND = "no reading within the usable range"
 
 
 def bare_scan(ranges: F64, stamp_s: float = 0.0) -> LaserScan:
