@@ -18,6 +18,7 @@ from slamfusion.cli.paths import CASE_FILE, FILE, MAP
 from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
 from slamfusion.fleet import executor_for
+from slamfusion.io.lines import MAP_SUFFIXES
 from slamfusion.jobs.cases import case_of
 from slamfusion.jobs.inputs import RUN_DEFAULTS
 from slamfusion.jobs.outputs import FAILED, FUSED, PAGE, REPORT, possible_outputs, possible_report
@@ -42,7 +43,7 @@ COLUMNS = (
 )
 BRIEF = 7
 # Suffixes of what may follow an option's value as one more; no log has such a name.
-MORE = {"--inputs": {".yaml", ".yml", ".pgm", ".png", ".bmp", ".pnm"}, "--paths": {".tum", ".csv"}}
+MORE = {"--inputs": MAP_SUFFIXES, "--paths": (".tum", ".csv")}
 
 
 class _ManyInputs(Command):

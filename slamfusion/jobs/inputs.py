@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Literal, TypeAlias
 
 from slamfusion.config import SMALLEST, FusionConfig, RunConfig, VoteConfig, VoteMode
 from slamfusion.errors import MapFileError
+from slamfusion.io.lines import MAP_SUFFIXES
 from slamfusion.jobs.outputs import FUSED
 from slamfusion.json_values import printed_as
 
@@ -33,7 +34,7 @@ log_warning: Warn = logging.getLogger("slamfusion.jobs").warning
 PIXEL_M = 0.05
 # Maps of a folder that a message names.
 MOST_NAMED = 5
-SUFFIXES = (".gz", ".yaml", ".yml", ".pgm", ".png", ".bmp", ".pnm", ".dxf", ".tum", ".txt", ".csv")
+SUFFIXES = (".gz", *MAP_SUFFIXES, ".tum", ".txt", ".csv")
 
 
 @dataclass(frozen=True)
