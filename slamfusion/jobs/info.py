@@ -56,8 +56,6 @@ class LogInfo:
     """Share of the beams that hit something, percent."""
     odometry_m: float | None
     """Length of the path by odometry, metres; null: the log has none."""
-    without_odometry: int
-    """Scans without odometry."""
     out_of_order: int
     """Scans that are left out: their stamp is not later than the one before, or far ahead."""
     deskewed: int
@@ -189,7 +187,6 @@ def _log_info(path: Path, config: RunConfig, progress: Progress) -> InfoDocument
         range_max_m=scan.range_max_m,
         returns_percent=100.0 * float(hits.sum() / beams.sum()),
         odometry_m=float(np.hypot(*moves_m).sum()) if has_pose.any() else None,
-        without_odometry=int((~has_pose).sum()),
         out_of_order=sum(log.skips.counts.get(reason, 0) for reason in (BACK, EQUAL, STRAY)),
         deskewed=log.deskewing.scans,
         topics=topics,

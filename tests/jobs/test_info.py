@@ -32,7 +32,7 @@ def test_a_log_has_its_rate_its_gaps_and_its_odometry(tmp_path: Path) -> None:
     found = describe(tmp_path / "drive.log").log
     assert found is not None
     step_s = scans[1].scan.stamp_s - scans[0].scan.stamp_s
-    assert (found.scans, found.gaps, found.without_odometry) == (20, 1, 0)
+    assert (found.scans, found.gaps) == (20, 1)
     assert found.rate_hz == pytest.approx(1.0 / step_s, rel=1e-3)
     assert found.longest_gap_s == pytest.approx(3.0 + step_s)
     assert found.duration_s == pytest.approx(19 * step_s + 3.0)
