@@ -51,11 +51,12 @@ def optimize_command(
     Loop closures that are outliers are ignored.
     """
     graph = jobs.graph.optimize_graph(path, config)
+    found = graph.found
     if graph.skipped_lines:
         kinds = sorted(graph.skipped_lines.items(), key=lambda item: (-item[1], item[0]))
         words = _first_few(f"{count} {kind[:40]}" for kind, count in kinds)
         notice(f"{path}: lines not understood: {words}")
-    if not graph.converged:
+    if not found.is_converged:
         notice(f"{path}: not converged; try another --start")
     graph = jobs.graph.save_optimized_graph(graph, out, tum=tum_path)
     if print_if_json(graph):
@@ -65,19 +66,19 @@ def optimize_command(
         ["nodes", str(graph.nodes)],
         ["edges", str(graph.edges)],
         ["closures", str(graph.closures)],
-        ["chi-square before", f"{graph.chi2_start:.8g}{along}"],
-        ["chi-square after", f"{graph.chi2:.8g}"],
+        ["chi-square before", f"{found.chi2_start:.8g}{along}"],
+        ["chi-square after", f"{found.chi2:.8g}"],
     ]
     doubted = graph.doubted
     if doubted:
         names = _first_few(f"{start} to {end}" for start, end in doubted)
         rows.append(["outliers", f"{len(doubted)}: {names}"])
-        rows.append(["chi-square with them", f"{graph.chi2_all:.8g}"])
+        rows.append(["chi-square with them", f"{found.chi2_all:.8g}"])
     elif config.graph_optimizer.robust != "none":
         rows.append(["outliers", "0"])
     rows += [
-        ["iterations", str(graph.iterations) + ("" if graph.converged else ", not converged")],
-        ["time", f"{number(graph.time_s)} s"],
+        ["iterations", str(found.iterations) + ("" if found.is_converged else ", not converged")],
+        ["time", f"{number(found.time_s)} s"],
     ]
     print_table((" ", " "), rows, title=path.name, header=False)
     print_facts(("graph", out), ("poses", tum_path))

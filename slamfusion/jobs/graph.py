@@ -23,7 +23,7 @@ class OptimizedGraph:
     """A pose graph with the poses that fit its edges best; ``slamfusion graph optimize``."""
 
     graph: GraphFile = field(repr=False)
-    found: Optimized = field(repr=False)
+    found: Optimized = field(metadata=FLAT)
     file: Path
     """The pose graph."""
     nodes: int
@@ -38,20 +38,8 @@ class OptimizedGraph:
     """Whether the file gave the vertices poses; else they were laid along the odometry."""
     skipped_lines: Mapping[str, int]
     """Lines that were not understood, by kind."""
-    chi2_start: float
-    """Chi-square before, of all edges."""
-    chi2: float
-    """Chi-square after, of the edges that are no outliers."""
-    chi2_all: float
-    """Chi-square after, of all edges."""
-    iterations: int
-    """Steps of the solver."""
-    converged: bool
-    """Whether the last step changed next to nothing."""
     doubted: Sequence[tuple[int, int]]
     """Ids of both ends of the outliers: closures taken to be false."""
-    time_s: float
-    """Wall time of the optimisation, seconds."""
     output: Path | None = None
     """The file that the graph was written to."""
     tum: Path | None = None
@@ -84,13 +72,7 @@ def optimize_graph(path: str | Path, config: RunConfig | None = None) -> Optimiz
         fixed=file.ids[list(file.fixed)].tolist(),
         has_poses=file.has_poses,
         skipped_lines=file.skipped,
-        chi2_start=found.chi2_start,
-        chi2=found.chi2,
-        chi2_all=found.chi2_all,
-        iterations=found.iterations,
-        converged=found.is_converged,
         doubted=[(int(start), int(end)) for start, end in outliers],
-        time_s=found.time_s,
         settings=Settings(config),
     )
 

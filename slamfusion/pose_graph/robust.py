@@ -22,11 +22,12 @@ Robust Map Optimization Using Dynamic Covariance Scaling, ICRA 2013.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from slamfusion.geometry import B8, F64, I64
+from slamfusion.json_values import printed_as
 from slamfusion.pose_graph.consensus import find_consensus
 from slamfusion.pose_graph.least_squares import (
     NEGLIGIBLE,
@@ -121,11 +122,13 @@ class InlierSet:
         is_reevaluated: all closures were weighed; False where an earlier inlier set stands.
     """
 
-    poses: F64
-    weights: F64
+    poses: F64 = field(repr=False)
+    weights: F64 = field(repr=False)
     iterations: int
-    is_converged: bool
-    is_reevaluated: bool = True
+    """Steps of the solver."""
+    is_converged: bool = field(metadata=printed_as("converged"))
+    """Whether the last step changed next to nothing."""
+    is_reevaluated: bool = field(default=True, repr=False)
 
 
 def plain(problem: Problem, start: F64 | None = None) -> Steps[InlierSet]:
