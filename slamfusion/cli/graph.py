@@ -51,9 +51,9 @@ def optimize_command(
     Loop closures that are outliers are ignored.
     """
     graph = jobs.graph.optimize_graph(path, config)
-    found = graph.found
-    if graph.skipped_lines:
-        kinds = sorted(graph.skipped_lines.items(), key=lambda item: (-item[1], item[0]))
+    given, found = graph.graph, graph.found
+    if given.skipped_lines:
+        kinds = sorted(given.skipped_lines.items(), key=lambda item: (-item[1], item[0]))
         words = _first_few(f"{count} {kind[:40]}" for kind, count in kinds)
         notice(f"{path}: lines not understood: {words}")
     if not found.is_converged:
@@ -61,7 +61,7 @@ def optimize_command(
     graph = jobs.graph.save_optimized_graph(graph, out, tum=tum_path)
     if print_if_json(graph):
         return
-    along = "" if graph.has_poses else " (along the odometry; the file has no vertices)"
+    along = "" if given.has_poses else " (along the odometry; the file has no vertices)"
     rows = [
         ["nodes", str(graph.nodes)],
         ["edges", str(graph.edges)],

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -22,7 +22,7 @@ from slamfusion.trajectory import Trajectory
 class OptimizedGraph:
     """A pose graph with the poses that fit its edges best; ``slamfusion graph optimize``."""
 
-    graph: GraphFile = field(repr=False)
+    graph: GraphFile = field(metadata=FLAT)
     found: Optimized = field(metadata=FLAT)
     file: Path
     """The pose graph."""
@@ -34,10 +34,6 @@ class OptimizedGraph:
     """Of the edges, the ones that close a loop."""
     fixed: Sequence[int]
     """Ids of the vertices that were held."""
-    has_poses: bool
-    """Whether the file gave the vertices poses; else they were laid along the odometry."""
-    skipped_lines: Mapping[str, int]
-    """Lines that were not understood, by kind."""
     doubted: Sequence[tuple[int, int]]
     """Ids of both ends of the outliers: closures taken to be false."""
     output: Path | None = None
@@ -70,8 +66,6 @@ def optimize_graph(path: str | Path, config: RunConfig | None = None) -> Optimiz
         edges=len(file.graph.edges),
         closures=int(file.graph.is_closure.sum()),
         fixed=file.ids[list(file.fixed)].tolist(),
-        has_poses=file.has_poses,
-        skipped_lines=file.skipped,
         doubted=[(int(start), int(end)) for start, end in outliers],
         settings=Settings(config),
     )

@@ -49,15 +49,15 @@ class GraphFile:
         graph: poses in the order of their ids, chained along the odometry if the file has none.
         ids: (N,) int64, the poses' names in the file, rising.
         fixed: indices of the poses of FIX; the first pose without FIX.
-        has_poses: the file has vertices, not only edges.
-        skipped: number of unknown lines by kind.
     """
 
-    graph: PoseGraph
-    ids: I64
-    fixed: tuple[int, ...]
+    graph: PoseGraph = field(repr=False)
+    ids: I64 = field(repr=False)
+    fixed: tuple[int, ...] = field(repr=False)
     has_poses: bool
-    skipped: dict[str, int] = field(default_factory=dict)
+    """Whether the file gave the vertices poses; else they were laid along the odometry."""
+    skipped_lines: dict[str, int] = field(default_factory=dict)
+    """Lines that were not understood, by kind."""
 
 
 def read_g2o(path: str | Path) -> GraphFile:

@@ -54,7 +54,7 @@ def test_ids_may_have_gaps_any_order_and_a_sign(tmp_path: Path) -> None:
     assert file.graph.poses[:, 0].tolist() == [0.0, 1.0, 2.0]
     assert file.graph.edges.tolist() == [[0, 1], [1, 2]]
     assert file.fixed == (1, 2)
-    assert not file.skipped
+    assert not file.skipped_lines
     assert file.has_poses
 
 
@@ -63,7 +63,7 @@ def test_lines_of_other_kinds_are_counted(tmp_path: Path) -> None:
     path = tmp_path / "graph.g2o"
     path.write_bytes(text.encode("latin-1"))
     file = read_g2o(path)
-    assert file.skipped == {"LASER": 2, "PARAMS_SE2OFFSET": 1, r"\xff\xfe": 1}
+    assert file.skipped_lines == {"LASER": 2, "PARAMS_SE2OFFSET": 1, r"\xff\xfe": 1}
     assert len(file.graph) == 2
 
 
