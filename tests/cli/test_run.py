@@ -6,6 +6,7 @@ import gzip
 import io
 import re
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ import numpy as np
 import pytest
 
 from slamfusion.cli.program import run_program
-from slamfusion.io import load_map
+from slamfusion.io import load_map, read_trajectory, write_tum
 from tests.cli.command import SAMPLE, assert_one_line_failure, json_of, run, tree
 from tests.cli.run_folder import MAPS_OF_FUSION, files_of, outputs
 from tests.slam.drives import write_flat
@@ -120,6 +121,19 @@ def test_a_run_that_fuses_nothing_leaves_the_earlier_results(
     assert "Nothing was fused" in html
     shown = {path.name for path in (out / "failed" / "report").glob("*.png")}
     assert len(shown) == html.count("<img ")
+
+
+@pytest.mark.full
+def test_paths_that_cannot_be_measured_are_one_short_line(place: Path, tmp_path: Path) -> None:
+    """Each path has the same trouble with a truth of another clock; the report names all."""
+    truth = read_trajectory(place / "truth.tum")
+    write_tum(tmp_path / "late.tum", replace(truth, stamps_s=truth.stamps_s + 1e6))
+    given = ("--truth-trajectory", tmp_path / "late.tum")
+    done = run("run", place / "flat.log", "-o", tmp_path / "out", *TWO, *given)
+    assert_one_line_failure(done, "two clocks", "; 2 more in the report (the files so far")
+    assert done.stderr.count("two clocks") == 1
+    page = (tmp_path / "out" / "report" / "report.html").read_text(encoding="utf-8")
+    assert page.count("two clocks") >= 3
 
 
 @pytest.mark.full
