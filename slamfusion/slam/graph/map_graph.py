@@ -201,13 +201,13 @@ class GraphHealth(Health):
             )
         elif self.kidnappings:
             sentences.append(
-                f"the robot was kidnapped {self.kidnappings} times, and relocalized in the map "
-                "each time; look at the map"
+                f"kidnappings of the robot, each relocalized in the map: {self.kidnappings}; look "
+                "at the map"
             )
         if self.tracking_failures:
             sentences.append(
-                f"tracking failed {self.tracking_failures} times, scans fitted badly for a while: "
-                "there only odometry and later closures tell how the map goes on; look at the map"
+                "places where scans fitted badly for a while, and only odometry and later closures "
+                f"tell how the map goes on: {self.tracking_failures}; look at the map"
             )
         return tuple(sentences)
 
