@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from slamfusion.align.normalize import common_resolution
@@ -15,6 +15,7 @@ from slamfusion.fusion.live.inputs import CHANGED_SHARE, RESTARTED_SHARE, Input,
 from slamfusion.fusion.live.layers import Change
 from slamfusion.fusion.live.limits import too_large
 from slamfusion.fusion.live.recovery import Anchor, turn_all
+from slamfusion.geometry import Pose2
 from slamfusion.vote.lattice import Lattice
 
 NEVER = float("-inf")
@@ -186,6 +187,7 @@ class InputSupervisor:
         new map does. The late one that changed most is aligned in any case, one a round.
         """
         first = self.inputs[self.reference]
+        before = {one.name: one.transform for one in self.voters}
         due = [one for one in self.inputs.values() if self._is_due(one, first)]
         due.sort(key=lambda one: (one.votes, -one.drift))
         cells, has_late = 0, False
@@ -210,6 +212,32 @@ class InputSupervisor:
                 one.turn(Reason.FAILED, why=str(error) or type(error).__name__)
             one.release()  # before those of the next one
             cells += own
+        self._hold_frame(before)
+
+    def _hold_frame(self, before: Mapping[str, Pose2 | None]) -> None:
+        """Move the reference instead of the others, if at least two others all moved alike.
+
+        The walls moved in its map then. Of two inputs, neither is known to be still.
+        ``before``: transforms of the voters before they were aligned.
+        """
+        reference, is_moved = self.inputs[self.reference], self._aligner.is_worth_a_move
+        others = [one for one in self.voters if one is not reference]
+        moves = [
+            (one, was, now)
+            for one in others
+            if (was := before.get(one.name)) is not None and (now := one.transform) is not None
+        ]
+        if len(others) < 2 or len(moves) < len(others) or reference.transform is None:
+            return
+        _, was, now = moves[0]
+        back = was.compose(now.inverse())
+        moved = back.compose(reference.transform)
+        if is_moved(reference, reference.transform, moved) and not any(
+            is_moved(one, was, back.compose(now)) for one, was, now in moves
+        ):
+            reference.transform = moved
+            for one, was, _ in moves:
+                one.transform = was
 
     def _align(self, one: Input, reference: Input) -> None:
         """Align an input to the reference: tracked, or else searched everywhere."""

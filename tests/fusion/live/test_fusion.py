@@ -260,6 +260,19 @@ def test_walls_of_the_reference_that_creep_do_not_take_the_frame_along(
         assert drive.input(name).accepted
 
 
+def test_a_step_of_the_reference_alone_moves_no_other_input(device: ComputeDevice) -> None:
+    drive = Drive(live_fusion(device))
+    drive.step(three()["b"], three()["c"])
+    assert drive.step(three()["a"]).reference == "b"
+    places = {name: drive.input(name).transform for name in "ac"}
+    drive.step(moved_frame(three()["b"], Pose2(0.2, 0.0, 0.0)))
+    assert drive.accepted() == "bca"
+    assert {name: drive.input(name).transform for name in "ac"} == places
+    found = drive.input("b").transform
+    assert found is not None
+    assert found.x == pytest.approx(-0.2, abs=0.03)
+
+
 def test_a_reference_that_is_drawn_anew_beside_its_lattice_each_time_keeps_the_frame(
     device: ComputeDevice,
 ) -> None:
