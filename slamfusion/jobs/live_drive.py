@@ -14,8 +14,9 @@ from __future__ import annotations
 
 import math
 import threading
+from bisect import bisect_left
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias, get_args
 
@@ -47,11 +48,14 @@ from slamfusion.geometry import (
     B8,
     F64,
     Pose2,
+    compose_poses,
     fit_motion,
+    invert_poses,
     moved_poses,
     pose_of,
     row_of,
     with_levers,
+    wrap_angles,
 )
 from slamfusion.io import LogScan
 from slamfusion.io.files import return_freed_memory
@@ -279,24 +283,26 @@ class LiveDrive:
 
         The pose is carried over as the last one was; from there its scan is matched to the walls of
         the solution and of later scans. A scan that does not fit leaves the pose as it is. The
-        covariance is that of the match and of the walls.
+        covariance is that of the match and of the walls; without a match it grows with the way
+        since the last one, and with how differently the other supported inputs moved since.
         """
         with self._lock:
             solution, grown, last = self.solution, self._grown, self._corrections.get(name)
             recent = self._scans[: -LEAST_SCANS - 1 : -1]
             scan = next((own for own in recent if abs(own.stamp_s - stamp_s) <= SAME_STAMP_S), None)
-            located = self._located[-1][1] if self._located else None
-        if last is None:
-            return None
-        motion, before = last
-        expected = motion.compose(pose)
-        way_m = 0.0 if located is None else math.dist((expected.x, expected.y), located[:2])
+            if last is None or solution is None:
+                return None
+            motion, before = last
+            expected, way_m, apart = motion.compose(pose), 0.0, np.zeros((3, 3))
+            if self._located:
+                way_m = math.dist((expected.x, expected.y), self._located[-1][1][:2])
+                apart = self._apart(name, stamp_s, solution.supported)
         covariance = before + _variances(STEP_M + DRIFT * way_m, STEP_RAD + DRIFT * way_m)
-        if solution is None or solution.walls is None or grown is None:
-            return ScanMatch(expected, covariance, fits=False)
+        if solution.walls is None or grown is None:
+            return ScanMatch(expected, covariance + apart, fits=False)
         found = None if scan is None else grown.match([scan], row_of(expected)[None], covariance)
         if scan is None or found is None or not found.fits:
-            return ScanMatch(expected, covariance + grown.covariance, fits=False)
+            return ScanMatch(expected, covariance + grown.covariance + apart, fits=False)
         covariance = found.covariance + grown.covariance
         added: list[tuple[ScanHits, F64]] = []
         with self._lock:
@@ -316,6 +322,22 @@ class LiveDrive:
                 if seen is not None and self.solution is solution:
                     self._grown = solution.walls.joined(seen)
         return replace(found, covariance=covariance)
+
+    def _apart(self, name: str, stamp_s: float, others: Iterable[str]) -> F64:
+        """Return the mean square, (3, 3), of how far others moved from an input since a match.
+
+        At the newest stamp until ``stamp_s`` that both have, in the fused frame.
+        """
+        gaps, ours = np.empty((0, 3)), self._poses.get(name, [])
+        scan, row = self._located[-1]
+        for theirs in [self._poses.get(other, []) for other in others if other != name]:
+            until_s = min(stamp_s, theirs[-1][0]) if theirs else stamp_s
+            moves = [_motion(rows, scan.stamp_s, until_s) for rows in (ours, theirs)]
+            if all(move is not None for move in moves):
+                ends = compose_poses(row, np.array(moves))
+                gaps = np.concatenate((gaps, ends[1:] - ends[:1]))
+        gaps[:, 2] = wrap_angles(gaps[:, 2])
+        return np.asarray(gaps.T @ gaps / max(1, len(gaps)))
 
     def _thin_out(self) -> None:
         """Drop every second scan before the window, and the poses that belong to none."""
@@ -606,6 +628,17 @@ def _part(path: Trajectory, after_s: float, until_s: float) -> Trajectory:
 def _chosen(path: Trajectory, which: B8) -> Trajectory:
     """Return some poses of a path, by (N,) bool."""
     return replace(path, stamps_s=path.stamps_s[which], poses=path.poses[which])
+
+
+def _motion(rows: list[list[float]], from_s: float, until_s: float) -> F64 | None:
+    """Return the motion, (3,), of rows of stamp, x, y and yaw between two of their stamps."""
+    found = []
+    for stamp_s in (from_s, until_s):
+        at = bisect_left(rows, [stamp_s - SAME_STAMP_S])
+        if at == len(rows) or rows[at][0] > stamp_s + SAME_STAMP_S:
+            return None  # none of theirs
+        found.append(rows[at][1:])
+    return compose_poses(invert_poses(found[0]), found[1])
 
 
 def _variances(place_m: float, turn_rad: float) -> F64:

@@ -394,6 +394,23 @@ def test_where_scans_see_too_little_the_pose_is_less_sure(device: ComputeDevice)
     assert found.covariance[0, 0] > (live_drive.DRIFT * way_m) ** 2
 
 
+def test_inputs_that_part_after_the_solution_make_an_unmatched_pose_less_sure(
+    device: ComputeDevice,
+) -> None:
+    robot = Robot(device)
+    robot.bends["b"] = lambda pose, step: Pose2(0.0, 0.0, 0.02 * max(0, step - 60)).compose(pose)
+    robot.drive_to(60)
+    robot.live.take(solved(robot, lattice=LATTICE, transforms=in_frame_of_a()))
+    robot.drive_to(150)
+    robot.step, truth = 149, robot.truth[149]
+    found = robot.live.locate("b", robot.scans[149].scan.stamp_s, robot.pose_of("b"))
+    assert found is not None
+    assert not found.fits
+    off = np.array((found.pose.x - truth.x, found.pose.y - truth.y))
+    assert np.hypot(*off) > 2.0
+    assert off @ np.linalg.inv(found.covariance[:2, :2]) @ off < 9.0
+
+
 def test_a_place_that_is_seen_again_is_as_sure_as_before(device: ComputeDevice) -> None:
     robot = Robot(device)
     there = list(zip(robot.scans, robot.truth, strict=True))[:100]
