@@ -282,10 +282,13 @@ class LiveDrive:
         """Return the fused-frame pose of a new pose in an input's map frame, or None.
 
         The pose is carried over as the last one was; from there its scan is matched to the walls of
-        the solution and of later scans. A scan that does not fit leaves the pose as it is. The
+        the solution and of later scans. If it comes before its scan, the newest scan before it is
+        matched, at the input's pose there. A scan that does not fit leaves the pose as it is. The
         covariance is that of the match and of the walls; without a match it grows with the way
         since the last one, and with how differently the other supported inputs moved since.
         """
+        earlier = self._newest_with_scan(name, stamp_s)
+        match = None if earlier is None else self.locate(name, *earlier)
         with self._lock:
             solution, grown, last = self.solution, self._grown, self._corrections.get(name)
             recent = self._scans[: -LEAST_SCANS - 1 : -1]
@@ -302,7 +305,8 @@ class LiveDrive:
             return ScanMatch(expected, covariance + apart, fits=False)
         found = None if scan is None else grown.match([scan], row_of(expected)[None], covariance)
         if scan is None or found is None or not found.fits:
-            return ScanMatch(expected, covariance + grown.covariance + apart, fits=False)
+            fits = match is not None and match.fits
+            return ScanMatch(expected, covariance + grown.covariance + apart, fits)
         covariance = found.covariance + grown.covariance
         added: list[tuple[ScanHits, F64]] = []
         with self._lock:
@@ -322,6 +326,18 @@ class LiveDrive:
                 if seen is not None and self.solution is solution:
                     self._grown = solution.walls.joined(seen)
         return replace(found, covariance=covariance)
+
+    def _newest_with_scan(self, name: str, stamp_s: float) -> tuple[float, Pose2] | None:
+        """Return an input's newest pose before a stamp at a scan that is not matched, or None."""
+        with self._lock:
+            since_s = self._located[-1][0].stamp_s if self._located else -np.inf
+            for scan in self._scans[: -LEAST_SCANS - 1 : -1]:
+                if not since_s < scan.stamp_s < stamp_s - SAME_STAMP_S:
+                    return None
+                row = _row_at(self._poses.get(name, []), scan.stamp_s)
+                if row is not None:
+                    return row[0], Pose2(*row[1:])
+        return None
 
     def _apart(self, name: str, stamp_s: float, others: Iterable[str]) -> F64:
         """Return the mean square, (3, 3), of how far others moved from an input since a match.
@@ -630,15 +646,18 @@ def _chosen(path: Trajectory, which: B8) -> Trajectory:
     return replace(path, stamps_s=path.stamps_s[which], poses=path.poses[which])
 
 
+def _row_at(rows: list[list[float]], stamp_s: float) -> list[float] | None:
+    """Return the row of stamp, x, y and yaw that has a stamp; None without."""
+    at = bisect_left(rows, [stamp_s - SAME_STAMP_S])
+    return rows[at] if at < len(rows) and rows[at][0] <= stamp_s + SAME_STAMP_S else None
+
+
 def _motion(rows: list[list[float]], from_s: float, until_s: float) -> F64 | None:
-    """Return the motion, (3,), of rows of stamp, x, y and yaw between two of their stamps."""
-    found = []
-    for stamp_s in (from_s, until_s):
-        at = bisect_left(rows, [stamp_s - SAME_STAMP_S])
-        if at == len(rows) or rows[at][0] > stamp_s + SAME_STAMP_S:
-            return None  # none of theirs
-        found.append(rows[at][1:])
-    return compose_poses(invert_poses(found[0]), found[1])
+    """Return the motion, (3,), between two stamps of such rows."""
+    first, last = _row_at(rows, from_s), _row_at(rows, until_s)
+    if first is None or last is None:
+        return None
+    return compose_poses(invert_poses(first[1:]), last[1:])
 
 
 def _variances(place_m: float, turn_rad: float) -> F64:

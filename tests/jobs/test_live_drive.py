@@ -380,6 +380,30 @@ def test_new_poses_are_located_on_the_solved_walls(device: ComputeDevice) -> Non
     assert robot.live.locate("a", 1e3, drifted) is None
 
 
+def test_poses_that_come_before_their_scans_are_located_by_the_scan_before(
+    device: ComputeDevice,
+) -> None:
+    robot = Robot(device)
+    robot.drive_to(100)
+    robot.live.take(solved(robot, lattice=LATTICE, transforms=in_frame_of_a()))
+    for step in range(100, SCANS):
+        robot.step, item, truth = step, robot.scans[step], robot.truth[step]
+        drifted = Pose2(0.003 * (step - 100), 0.0, 0.0).compose(robot.pose_of("a"))
+        robot.live.add_pose("a", item.scan.stamp_s, drifted)
+        found = robot.live.locate("a", item.scan.stamp_s, drifted)
+        assert found is not None
+        assert found.fits == (step > 100)
+        assert math.dist((found.pose.x, found.pose.y), (truth.x, truth.y)) < 0.06
+        robot.live.add_scan(item)
+    # The laser is silent now.
+    later = robot.live.locate("a", item.scan.stamp_s + 1.0, drifted)
+    assert later is not None
+    assert later.fits
+    later = robot.live.locate("a", item.scan.stamp_s + 2.0, drifted)
+    assert later is not None
+    assert not later.fits
+
+
 def test_where_scans_see_too_little_the_pose_is_less_sure(device: ComputeDevice) -> None:
     robot = Robot(device)
     for at, item in enumerate(robot.scans[60:90], 60):
