@@ -15,7 +15,7 @@ from nav_msgs.msg import Path
 from slamfusion.config import LogConfig
 from slamfusion.deskew import Deskewer
 from slamfusion.errors import TrajectoryError
-from slamfusion.fusion.live.driving import OdomFrame
+from slamfusion.fusion.live.driving import CARRIED_M, OdomFrame
 from slamfusion.fusion.live.session import FusionState
 from slamfusion.geometry import Pose2
 from slamfusion.io import LogScan
@@ -376,8 +376,10 @@ class FusedFrames:
         """Correct the odometry frame by the robot's pose in the fused frame; see ``drive``."""
         settings, diagnostics = self._node.settings, self._node.diagnostics
         frames = settings.odom_frame, settings.base_frame
+        known_s, odometry = self._odom_frame.posed
         try:
-            odometry = self._odometry.lookup(*frames, stamp_s)
+            if stamp_s != known_s:  # else a revised pose, whose odometry may be forgotten by now
+                odometry = self._odometry.lookup(*frames, stamp_s)
         except TransformError as error:
             text = f"no odometry for {settings.fused_frame} -> {frames[0]}: {error}"
             diagnostics.say("odometry", text)
@@ -425,3 +427,8 @@ class FusedFrames:
         text = f"publish_tf: {fused} -> {odom} was never sent: {why}"
         is_unsent = settings.publish_tf and has_voters and self._driven_s is None
         diagnostics.say("unsent", text if is_unsent else None, after_s=TF_LATE_S)
+        text = (
+            f"{fused} -> {odom} is not sent any more: the robot has driven {CARRIED_M:g} m or "
+            "turned once since the last fused pose; check the inputs"
+        )
+        diagnostics.say("too far", text if self._odom_frame.is_too_far else None, Level.ERROR)

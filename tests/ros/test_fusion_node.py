@@ -370,12 +370,12 @@ class Followed:
         self, processes: Processes, observer: Observer, makers: Makers, names: str
     ) -> None:
         self.poses = observer.collect(PoseWithCovarianceStamped, "fused/pose")
-        start_fusion(processes)
+        start_fusion(processes, publish_tf=True)
         makers.send_all()
         wait_for_all(observer)
         self.transforms = told_transforms(observer)
         self.robot = Robot(observer, names)
-        self._observer, self._stamps_s = observer, itertools.count(200.0, 0.1)
+        self._observer, self.stamps_s = observer, itertools.count(200.0, 0.1)
 
     def is_at(self, place: Pose2) -> bool:
         """Whether the last fused pose is within 3 cm of a place."""
@@ -386,7 +386,7 @@ class Followed:
         """Send poses at a place until the fused pose is there."""
 
         def stand() -> bool:
-            self.robot.at(next(self._stamps_s), place, self.transforms)
+            self.robot.at(next(self.stamps_s), place, self.transforms)
             self._observer.listen(0.1)
             return self.is_at(place)
 
@@ -396,15 +396,31 @@ class Followed:
 def test_a_robot_that_stands_still_gets_its_corrected_pose(
     processes: Processes, observer: Observer, makers: Makers
 ):
+    frames = TransformInput(observer.node)
     followed, place = Followed(processes, observer, makers, "b"), Pose2(2.0, 1.5, 0.3)
     followed.wait_at(place, "the fused pose")
-    observer.listen(4.0)  # as a SLAM whose robot stands still, b sends no pose
+    # As a SLAM whose robot stands still, b sends no pose; the odometry goes on.
+    silent = followed.robot.poses.pop("b")
+
+    def stand(seconds: float) -> Pose2:
+        """Return where the transforms have the robot after a time."""
+        for _ in range(round(10.0 * seconds)):
+            stamp_s = next(followed.stamps_s)
+            followed.robot.at(stamp_s, place, followed.transforms)
+            observer.listen(0.1)
+        to_odom = frames.lookup("fused_map", "odom", frames.heard_s("fused_map", "odom") or 0.0)
+        assert stamp_s - (frames.heard_s("fused_map", "odom") or 0.0) < 1.0
+        return to_odom.compose(followed.robot.drift.compose(place))
+
+    assert_near(stand(11.0), place, 0.03, 0.01)  # longer than transforms are kept
     # A closed loop moves the map of b, and its pose stays.
     shift, grid = Pose2(0.2, 0.0, 0.0), three()["b"]
     makers.send(replace(grid, origin=shift.compose(grid.origin)))
     frame = followed.transforms["b"]
     wanted = frame.compose(shift.inverse()).compose(frame.inverse()).compose(place)
     observer.wait(lambda: followed.is_at(wanted), what="the corrected pose")
+    assert_near(stand(3.0), wanted, 0.03, 0.01)
+    observer.node.destroy_publisher(silent)
 
 
 def test_a_silent_input_gives_no_pose_once_another_has_moved_on(

@@ -119,7 +119,7 @@ def test_a_turn_far_from_the_origin_of_the_odometry_moves_the_robot_little() -> 
     assert tuple_of(moved.compose(odometry)) == pytest.approx((1.0, 1.0, 0.02))
 
 
-def test_no_stamp_comes_twice_and_the_odometry_carries_on_for_a_while() -> None:
+def test_no_stamp_comes_twice() -> None:
     frame = OdomFrame()
     assert frame.move(0.0, Pose2(), M_S, RAD_S) is None
     frame.correct(1.0, Pose2(2.0, 0.0, 0.0), Pose2())
@@ -127,7 +127,28 @@ def test_no_stamp_comes_twice_and_the_odometry_carries_on_for_a_while() -> None:
     assert frame.move(1.0, Pose2(0.1, 0.0, 0.0), M_S, RAD_S) is None
     assert frame.move(0.9, Pose2(0.1, 0.0, 0.0), M_S, RAD_S) is None
     assert frame.move(10.9, Pose2(3.0, 0.0, 0.0), M_S, RAD_S) == Pose2(2.0, 0.0, 0.0)
-    assert frame.move(11.1, Pose2(3.0, 0.0, 0.0), M_S, RAD_S) is None
+
+
+@pytest.mark.parametrize("step", [Pose2(0.04, 0.0, 0.0), Pose2(0.0, 0.0, 0.05)])
+def test_without_poses_a_robot_at_rest_keeps_its_place_and_one_that_drives_loses_it(
+    step: Pose2,
+) -> None:
+    frame, odometry, rng = OdomFrame(), Pose2(4.0, 2.0, 1.0), np.random.default_rng(1)
+    frame.correct(0.0, Pose2(2.0, 0.0, 0.0), odometry)
+    assert frame.transform is not None
+    here = pytest.approx(tuple_of(frame.transform))
+    for number in range(1, 6001):  # ten minutes, with the noise of odometry at rest
+        noise = Pose2(*rng.normal(0.0, (0.01, 0.01, 0.005)).tolist())
+        moved = frame.move(0.1 * number, odometry.compose(noise), M_S, RAD_S)
+        assert moved is not None
+        assert tuple_of(moved) == here
+    count = 6000
+    while frame.move(0.1 * (count := count + 1), odometry, M_S, RAD_S) is not None:
+        odometry = odometry.compose(step)
+    assert frame.is_too_far
+    assert 100 < count - 6000 < 140  # 5 m, or a whole turn
+    frame.correct(0.1 * count, Pose2(2.0, 0.0, 0.0), odometry)
+    assert frame.move(0.1 * (count + 1), odometry, M_S, RAD_S) is not None
 
 
 def test_odometry_that_starts_again_at_its_origin_does_not_move_the_robot() -> None:
@@ -138,3 +159,6 @@ def test_odometry_that_starts_again_at_its_origin_does_not_move_the_robot() -> N
         moved = frame.move(0.1 + 0.1 * number, Pose2(), M_S, RAD_S)
         assert moved is not None
         assert tuple_of(moved.compose(Pose2())) == pytest.approx((1.0, 2.0, 0.5))
+    # Its last pose is revised by as much as if the origin had stayed.
+    assert frame.posed[0] == 0.0
+    assert tuple_of(frame.posed[1]) == pytest.approx((0.0, 0.0, 0.0))
