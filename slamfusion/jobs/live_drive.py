@@ -2,7 +2,8 @@
 
 The method is that of ``run``: predictive consistency scores the paths, ``fuse_weighed_paths`` fuses
 them, and all scans are aligned along the result. The whole drive is solved from time to time, and
-in between its last ``WINDOW_S`` seconds, which continue the last solution (``Pace``). When the
+in between its last ``WINDOW_S`` seconds, which continue the last solution (``Pace``). More often,
+since it takes a tenth of the time, inputs are judged by the scans that were located since. When the
 scans stop, the drive is solved with all hits that ``run`` scores, which gives the answer of
 ``run``.
 
@@ -89,18 +90,22 @@ LEAST_SEEN, DRIFT = 3 * LEAST_HITS, 0.1
 ADDED_SCANS = 5
 # A stamp that goes back by more, seconds, is that of a new drive.
 BACK_S = 1.0
-# A rest this many times as long as it took belongs to each solution of the window, and at least so
-# many seconds follow it; likewise for the whole drive. Together at most 11 % of a core: in between
-# the pose goes by scans that match what was solved, so new places need new solutions.
-REST, REST_S = 12.0, 2.0
-WHOLE_REST, WHOLE_REST_S = 29.0, 10.0
+# A rest this many times as long as it took belongs to each solution, and at least so many seconds
+# follow it. Together at most 15 % of a core: in between the pose goes by scans that match what was
+# solved, so new places need new solutions.
+RESTS: Mapping[Depth, tuple[float, float]] = {
+    "judged": (29.0, 2.0),
+    "window": (12.0, 2.0),
+    "whole": (29.0, 10.0),
+}
 # Seconds that solutions may take before they rest: the first ones of a drive are short and urgent.
 AHEAD_S = 1.0
 # Without a scan for so long, seconds, the drive is solved with all hits.
 STILL_S = 2.0
 
-# How much of a drive is solved: its last seconds, all of it, or all of it with all hits.
-Depth: TypeAlias = Literal["window", "whole", "final"]
+# How much of a drive is solved: nothing, but the inputs are compared with the scans again; its last
+# seconds; all of it; or all of it with all hits.
+Depth: TypeAlias = Literal["judged", "window", "whole", "final"]
 DEPTHS: tuple[Depth, ...] = get_args(Depth)
 
 
@@ -128,8 +133,8 @@ class Pace:
     def done(self, depth: Depth, began_s: float, done_s: float) -> None:
         """Take note of a solution, of what ``due`` said last."""
         self._seen |= dict.fromkeys(DEPTHS[: DEPTHS.index(depth) + 1], self._scans)
-        kind: Depth = "window" if depth == "window" else "whole"
-        rest, least_s = (REST, REST_S) if kind == "window" else (WHOLE_REST, WHOLE_REST_S)
+        kind: Depth = "whole" if depth == "final" else depth
+        rest, least_s = RESTS[kind]
         rested_s = max(self._rested_s.get(kind, done_s), done_s) + rest * (done_s - began_s)
         self._rested_s[kind] = rested_s
         self._due_s[kind] = max(done_s + least_s, rested_s - rest * AHEAD_S)
@@ -268,7 +273,15 @@ class LiveDrive:
         with self._lock:
             if solution.generation != self._generation:
                 return False
-            self.solution, self._grown = solution, solution.walls
+            before, self.solution = self.solution, solution
+            if before is not None and before.walls is solution.walls:  # judged again
+                first = _variances(CORRECTION_M, CORRECTION_RAD)
+                self._corrections = {
+                    name: self._corrections.get(name, (motion, first))
+                    for name, motion in solution.supported.items()
+                }
+                return True
+            self._grown = solution.walls
             recent = self._scans[-2 * LEAST_SCANS :]
             near, meets = path.matches(np.array([own.stamp_s for own in recent]))
             self._located = [(recent[at], path.poses[near[at]]) for at in np.flatnonzero(meets)]
@@ -383,7 +396,8 @@ class LiveDrive:
         """Solve the drive so far; None while there are too few scans or poses.
 
         Args:
-            depth: the first solution is of the whole drive in any case.
+            depth: the first solution is of the whole drive in any case; ``judged`` returns the last
+                one with new doubts and conditions, and None if no scan was located since.
             lattice: of the fused frame; None: the drive gives it.
             transforms: of the inputs that vote, map frame into the fused frame.
             resolution: metres per cell of the drawn map; None: no map.
@@ -403,6 +417,8 @@ class LiveDrive:
         paths = self._at_scans(scans, poses, heard_s)
         last = self._path if depth == "window" else None
         try:
+            if depth == "judged":
+                return self._judged(scans, paths)
             found = (
                 _solved(scans, paths, self._device)
                 if last is None
@@ -438,6 +454,27 @@ class LiveDrive:
             depth == "final",
             WallMap.of(scans, path, covariance),
             generation,
+        )
+
+    def _judged(self, scans: JudgedScans, paths: Mapping[str, Trajectory]) -> DriveSolution | None:
+        """Return the last solution with new doubts and conditions; its path goes on as located."""
+        with self._lock:
+            solution, located = self.solution, [*self._located]
+        if solution is None:
+            return None
+        path = solution.path
+        rest = [(one.stamp_s, row) for one, row in located if one.stamp_s > path.stamps_s[-1]]
+        if not rest:
+            return None
+        stamps_s, rows = (np.array(column) for column in zip(*rest, strict=True))
+        stamps_s = np.concatenate((path.stamps_s, stamps_s))
+        longer = Trajectory(stamps_s, np.concatenate((path.poses, rows)), FUSED)
+        evidence = score_paths(scans, {**paths, FUSED: longer}, self._device)
+        self._doubts = _doubts(evidence, _contradicted(evidence))
+        return replace(
+            solution,
+            evidence=replace(solution.evidence, doubts=self._doubts),
+            conditions=drive_conditions(evidence, FUSED),
         )
 
     def _continued(

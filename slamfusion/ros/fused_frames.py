@@ -118,7 +118,9 @@ class DriveInput:
             resolution=state.resolution if settings.draw else None,
         )
         self._pace.done(depth, began_s, time.monotonic())
-        is_lost = solution is None and depth != "window" and self.live.solution is not None
+        is_lost = (
+            solution is None and depth in {"whole", "final"} and self.live.solution is not None
+        )
         text = (
             "the drive is no longer solved, since no input has poses at its scans: the fused path "
             "and the drawn map stay as they were; check the inputs, or start the drive again "
@@ -128,6 +130,8 @@ class DriveInput:
         if solution is None or not self.live.take(solution):
             return
         self._on_solution(solution)
+        if depth == "judged":
+            return
         if self.live.solution is solution and self._path_topic.get_subscription_count():
             stamp = messages.to_stamp(float(solution.path.stamps_s[-1]))
             frame = settings.fused_frame

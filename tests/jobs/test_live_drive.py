@@ -187,7 +187,7 @@ def test_the_last_seconds_are_solved_between_solutions_of_the_whole_drive() -> N
     for step in range(1000):
         now_s, scans = 0.1 * step, min(step, 600)
         if now_s >= busy_s and (depth := pace.due(now_s, scans)) is not None:
-            busy_s = now_s + {"window": 0.5, "whole": 3.0, "final": 9.0}[depth]
+            busy_s = now_s + {"judged": 0.1, "window": 0.5, "whole": 3.0, "final": 9.0}[depth]
             pace.done(depth, now_s, busy_s)
             seen.append((now_s, depth))
     depths = [depth for _, depth in seen]
@@ -198,10 +198,11 @@ def test_the_last_seconds_are_solved_between_solutions_of_the_whole_drive() -> N
     assert 61.0 < last_s < 66.0
     waits_s = np.diff([now_s for now_s, _ in seen])
     assert waits_s.max() < 7.0
-    # Three seconds of 90 for the whole drive, half a second of 6.5 for the window, and one second
-    # ahead of each.
+    # Three seconds of 90 for the whole drive, half a second of 6.5 for the window, a tenth of 3 to
+    # judge the inputs, and one second ahead of each.
     assert depths.count("whole") == pytest.approx(60.0 / 90.0 + 1.0 / 3.0, abs=1.0)
     assert depths.count("window") == pytest.approx(54.0 / 6.5 + 1.0 / 0.5, abs=3.0)
+    assert depths.count("judged") == pytest.approx(60.0 / 3.0 + 1.0 / 0.1, abs=6.0)
 
 
 def test_the_window_continues_the_path_of_the_whole_drive(
@@ -378,6 +379,29 @@ def test_new_poses_are_located_on_the_solved_walls(device: ComputeDevice) -> Non
     # One that was computed meanwhile is in the frame of the old drive.
     assert not robot.live.take(solution)
     assert robot.live.locate("a", 1e3, drifted) is None
+
+
+def test_a_bent_input_is_contradicted_between_solutions_by_the_located_poses(
+    device: ComputeDevice,
+) -> None:
+    robot = Robot(device, bent_ones="b")
+    robot.drive_to(60)
+    assert robot.live.solve("judged") is None
+    solution = solved(robot, lattice=LATTICE, transforms=in_frame_of_a())
+    robot.live.take(solution)
+    assert robot.live.solve("judged") is None  # nothing is located since
+    assert {*solution.supported} == {*"abc"}
+    while robot.step < 140:
+        stamp_s, pose = robot.scans[robot.step].scan.stamp_s, robot.pose_of("a")
+        robot.drive_to(robot.step + 1)
+        assert robot.live.locate("a", stamp_s, pose) is not None
+    later = solved(robot, "judged")
+    assert {*later.supported} == {*"ac"}
+    assert "contradict its path since" in later.evidence.doubts["b"]
+    assert later.path is solution.path
+    robot.live.take(later)
+    assert robot.live.locate("b", stamp_s, Pose2()) is None
+    assert robot.live.locate("a", stamp_s, pose) is not None
 
 
 def test_poses_that_come_before_their_scans_are_located_by_the_scan_before(
