@@ -5,9 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from slamfusion.config import LogConfig
-from slamfusion.io import LogScan, open_log
-
 Pose = tuple[float, float, float]
 
 ORIGIN: Pose = (0.0, 0.0, 0.0)
@@ -49,7 +46,3 @@ def robotlaser(
 def write_lines(path: Path, *lines: str) -> Path:
     path.write_text("".join(f"{line}\n" for line in lines), encoding="ascii")
     return path
-
-
-def scans_of(path: Path, **settings: float) -> list[LogScan]:
-    return list(open_log(path, LogConfig(**settings)))
