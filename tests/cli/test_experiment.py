@@ -14,7 +14,7 @@ from slamfusion.io import write_carmen, write_tum
 from slamfusion.jobs.inputs import LogFiles
 from slamfusion.jobs.outputs import DRAWN
 from slamfusion.slam.registry import BUILT_IN
-from tests.cli.command import assert_one_line_failure, json_of, run, tree
+from tests.cli.command import assert_one_line_failure, json_of, run, run_here, tree
 from tests.experiments.drives import room, room_files
 from tests.support.documents import check_document
 
@@ -105,10 +105,11 @@ def test_real_logs_without_any_is_one_line(tmp_path: Path) -> None:
     assert not (tmp_path / "out").exists()
 
 
-def test_a_log_that_is_not_there_is_one_line(tmp_path: Path) -> None:
-    done = run(
-        "experiment", "cell-models-trajectories", "-o", tmp_path / "out",
-        "--log", "~/gone.log:gone.relations", env={"HOME": "/home/robot"},
-    )  # fmt: skip
+def test_a_log_that_is_not_there_is_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("HOME", "/home/robot")
+    log = "~/gone.log:gone.relations"
+    done = run_here("experiment", "cell-models-trajectories", "-o", tmp_path / "out", "--log", log)
     assert_one_line_failure(done, "/home/robot/gone.log")
     assert not (tmp_path / "out").exists()

@@ -62,7 +62,14 @@ def test_a_producer_makes_the_map_that_slam_makes(
 def test_the_tables_name_the_same_and_the_vote_is_that_of_fuse(
     made: tuple[Path, dict[str, Any]], place: Path, tmp_path: Path
 ) -> None:
-    """It replaces all of an earlier run, what failed too; what is not of a run stays."""
+    """It replaces all of an earlier run, what failed too; what is not of a run stays.
+
+    Of the log a line and the end are damaged, which is named.
+    """
+    log, lines = tmp_path / "cut.log.gz", (place / "flat.log").read_bytes().splitlines()
+    longest = max(range(len(lines) // 2), key=lambda number: len(lines[number]))
+    lines[longest] = lines[longest][:100]
+    log.write_bytes(gzip.compress(b"\n".join(lines))[:-2000])
     out = tmp_path / "out"
     shutil.copytree(made[0], out)
     (out / "failed" / "report").mkdir(parents=True)
@@ -70,9 +77,15 @@ def test_the_tables_name_the_same_and_the_vote_is_that_of_fuse(
     for name in ("notes.txt", "graph_probability.yaml", *of_failed):
         (out / name).write_text("mine, or of an earlier run", encoding="utf-8")
     vote = ("--mode", "consensus")
-    options = (*TWO, *vote, "--relations", place / "flat.relations")
-    done = run("run", place / "flat.log", "-o", out, *options)
+    (tmp_path / "early.relations").write_text("0.2 3.0 1 0 0 0 0 0\n", encoding="utf-8")
+    options = (*TWO, *vote, "--relations", tmp_path / "early.relations")
+    done = run("run", log, "-o", out, *options)
     assert done.returncode == 0, done.stderr
+    left_out = "left out of the log: 1 x "
+    assert f"{left_out}wrong number of fields (a cut-off line?) (line " in done.stderr
+    cut = "the packed file ends early or is damaged; nothing after this was read (line "
+    assert f"{left_out}{cut}" in done.stderr
+    assert cut in (out / "report" / "report.html").read_text(encoding="utf-8")
     for word in ("tinyslam", "graph", "relations mean [m]", "votes",
                  "fused.yaml (consensus)", "report.html"):  # fmt: skip
         assert word in done.stdout
@@ -86,20 +99,6 @@ def test_the_tables_name_the_same_and_the_vote_is_that_of_fuse(
     again, fused = load_map(tmp_path / "fused.yaml"), load_map(out / "fused.yaml")
     assert again.origin == fused.origin
     assert np.array_equal(again.cells, fused.cells)
-
-
-def test_a_run_names_what_the_log_lost(place: Path, tmp_path: Path) -> None:
-    log, lines = tmp_path / "cut.log.gz", (place / "flat.log").read_bytes().splitlines()
-    longest = max(range(len(lines) // 2), key=lambda number: len(lines[number]))
-    lines[longest] = lines[longest][:100]
-    log.write_bytes(gzip.compress(b"\n".join(lines))[:-2000])
-    done = run("run", log, "-o", tmp_path / "out", *TWO)
-    assert done.returncode == 0, done.stderr
-    left_out = "left out of the log: 1 x "
-    assert f"{left_out}wrong number of fields (a cut-off line?) (line " in done.stderr
-    cut = "the packed file ends early or is damaged; nothing after this was read (line "
-    assert f"{left_out}{cut}" in done.stderr
-    assert cut in (tmp_path / "out" / "report" / "report.html").read_text()
 
 
 def test_a_run_that_fuses_nothing_leaves_the_earlier_results(

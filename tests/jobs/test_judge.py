@@ -61,11 +61,14 @@ def test_paths_are_ranked_without_a_truth(drive: Path) -> None:
     assert by_name["sparse"].covered_share > 0.9
     assert not by_name["bent"].tied
     assert not all(span.agrees for span in by_name["bent"].spans)
+    assert found.fused_path is None
 
 
-def test_with_a_truth_there_are_both_rankings(drive: Path) -> None:
+def test_with_a_truth_there_is_a_ranking_by_errors_and_a_report(
+    drive: Path, tmp_path: Path
+) -> None:
     files = [drive / "bent.tum", drive / "elsewhere.tum"]
-    found = judge_paths(drive / "drive.log", files, RunConfig(), truth=drive / "truth.tum")
+    found = judge_paths(drive / "drive.log", files, truth=drive / "truth.tum")
     assert list(rankings(found.measured)["ATE"]) == ["elsewhere", "bent"]
     assert found.ranking_by_relations == ()
     document = plain(JudgeDocument(found, found.circumstances))
@@ -73,6 +76,21 @@ def test_with_a_truth_there_are_both_rankings(drive: Path) -> None:
     bent_path, elsewhere = document["paths"]
     assert elsewhere["ate"]["rmse"] == pytest.approx(0.0, abs=1e-6)
     assert bent_path["ate"]["rmse"] > 0.1
+
+    page = write_judgement(found, tmp_path / "report")
+    assert page == tmp_path / "report" / "report.html"
+    assert (tmp_path / "report" / "02-evidence.png").exists()
+    text = page.read_text(encoding="utf-8")
+    assert f"<h1>{found.recommendation.headline}</h1>" in text
+    assert "<strong>Single SLAM:</strong> elsewhere" in text
+    assert "<details><summary>The scores</summary>" in text
+    assert f"{rankings(found.measured)['ATE']['bent'][0]:.4f}" in text
+    assert "relations, m" not in text, "there were none"
+    # A path alone.
+    alone = judge_paths(drive / "drive.log", files[:1])
+    text = write_judgement(alone, tmp_path / "report").read_text(encoding="utf-8")
+    assert f"<h1>{alone.recommendation.headline}</h1>" in text
+    assert "Held against what is known" not in text
 
 
 def test_one_path_is_made_of_all_and_judged_beside_them(drive: Path, tmp_path: Path) -> None:
@@ -94,7 +112,6 @@ def test_one_path_is_made_of_all_and_judged_beside_them(drive: Path, tmp_path: P
     assert not out.exists()
     write_fused_path(found)
     assert len(read_trajectory(out)) == len(TRUTH)
-    assert judge_paths(drive / "drive.log", files).fused_path is None
 
 
 def test_paths_that_cannot_be_fused_are_one_line(drive: Path, tmp_path: Path) -> None:
@@ -120,26 +137,6 @@ def test_what_cannot_be_measured_does_not_take_the_answer_along(
     assert found.recommendation.path == "elsewhere"
     assert [words.split(":")[0] for words in found.not_measured] == ["bent", "elsewhere"]
     check_document(plain(JudgeDocument(found, found.circumstances)), "judge")
-
-
-@pytest.mark.once
-def test_the_report_shows_the_drive_and_the_errors(drive: Path, tmp_path: Path) -> None:
-    files = [drive / "bent.tum", drive / "elsewhere.tum"]
-    found = judge_paths(drive / "drive.log", files, truth=drive / "truth.tum")
-    page = write_judgement(found, tmp_path / "report")
-    assert page == tmp_path / "report" / "report.html"
-    assert (tmp_path / "report" / "02-evidence.png").exists()
-    text = page.read_text(encoding="utf-8")
-    assert f"<h1>{found.recommendation.headline}</h1>" in text
-    assert "<strong>Single SLAM:</strong> elsewhere" in text
-    assert "<details><summary>The scores</summary>" in text
-    assert f"{rankings(found.measured)['ATE']['bent'][0]:.4f}" in text
-    assert "relations, m" not in text, "there were none"
-    # A path alone.
-    alone = judge_paths(drive / "drive.log", files[:1])
-    text = write_judgement(alone, tmp_path / "report").read_text(encoding="utf-8")
-    assert f"<h1>{alone.recommendation.headline}</h1>" in text
-    assert "Held against what is known" not in text
 
 
 def test_two_files_of_one_name_are_told_apart(drive: Path, tmp_path: Path) -> None:
