@@ -124,9 +124,11 @@ def test_a_map_without_walls_is_rejected_by_name(device: ComputeDevice, turned_r
     truth, empty = building(1), draw("....\n....", name="lawn")
     pair = (empty, truth) if turned_round else (truth, empty)
     found = align_grids(*pair, QUICK, device)
-    assert not found.accepted
-    assert "lawn has no occupied cell" in found.reason
+    assert (found.accepted, found.decision) == (False, "not searched")
+    assert found.reason == "lawn has no occupied cell, so there is nothing to align"
     assert found.transform == Pose2()
+    assert found.evidence is None
+    assert found.strength is None
 
 
 TINY = {

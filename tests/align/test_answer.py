@@ -182,15 +182,6 @@ def test_a_start_makes_little_common_ground_enough(device: ComputeDevice, seed: 
         assert not wrong.accepted, wrong.reason
 
 
-def test_a_pair_that_was_not_searched_has_no_evidence(device: ComputeDevice) -> None:
-    empty = draw("........", name="empty")
-    found = align_grids(draw("\n".join(ROOM), name="room"), empty, QUICK, device)
-    assert (found.accepted, found.decision) == (False, "not searched")
-    assert found.reason == "empty has no occupied cell, so there is nothing to align"
-    assert found.evidence is None
-    assert found.strength is None
-
-
 def test_a_window_that_holds_the_answer_is_judged_against_rivals_of_everywhere(
     device: ComputeDevice,
 ) -> None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import pytest
 
 from slamfusion.align.align import align_pair
@@ -14,8 +12,8 @@ from slamfusion.align.search import search
 from slamfusion.align.shifts import SearchWindow
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import AlignConfig
-from slamfusion.grid import UNKNOWN, OccupancyGrid
-from tests.fusion.drawings import building, features_of
+from slamfusion.grid import OccupancyGrid
+from tests.fusion.drawings import building, features_of, part
 from tests.fusion.live.maps import mirrored, transposed, trio
 from tests.support.overlap import simulated
 
@@ -60,19 +58,10 @@ def test_the_image_of_a_mirrored_map_is_the_map(device: ComputeDevice) -> None:
     assert gains[1] == pytest.approx(1.0 / gains[0], rel=0.05)
 
 
-def half(grid: OccupancyGrid, low: float, high: float) -> OccupancyGrid:
-    """Return what lies between two shares of a grid's width, the rest unknown."""
-    cells = grid.cells.copy()
-    width = cells.shape[1]
-    cells[:, : round(low * width)] = UNKNOWN
-    cells[:, round(high * width) :] = UNKNOWN
-    return replace(grid, cells=cells)
-
-
 def test_what_is_refused_is_named_if_its_image_would_be_believed(device: ComputeDevice) -> None:
     """A mirrored half fits nowhere itself; its image does."""
     place = building(4, 14.0, 9.0, 0.05)
-    low, high = half(place, 0.0, 0.65).with_name("low"), half(place, 0.35, 1.0).with_name("high")
+    low, high = part(place, 0.0, 0.65, "low"), part(place, 0.35, 1.0, "high")
     right = aligned(low, high, device)
     assert right.accepted, right.reason
     found = aligned(low, mirrored(high), device)

@@ -121,6 +121,13 @@ def assert_right(
     assert alignment.accepted, found
 
 
+def part(grid: OccupancyGrid, low: float, high: float, name: str) -> OccupancyGrid:
+    """Return what lies between two shares of a map's width; the rest is unknown, the frame kept."""
+    shares = (np.arange(grid.width) + 0.5) / grid.width
+    is_kept = (shares >= low) & (shares < high)
+    return replace(grid, cells=np.where(is_kept, grid.cells, np.int8(UNKNOWN)), name=name)
+
+
 def building_parts(
     seed: int, share: float, yaw_rad: float
 ) -> tuple[OccupancyGrid, OccupancyGrid, Pose2]:

@@ -14,19 +14,10 @@ from slamfusion.fusion import fuse_grids
 from slamfusion.fusion.grouping import GroupSearch
 from slamfusion.fusion.groups import SecondLook
 from slamfusion.geometry import Pose2
-from slamfusion.grid import UNKNOWN, OccupancyGrid
-from tests.fusion.drawings import building, features_of, fusion_config
+from slamfusion.grid import OccupancyGrid
+from tests.fusion.drawings import building, features_of, fusion_config, part
 
 QUICK = replace(fusion_config(), keep_duplicates=True)
-
-
-def part(grid: OccupancyGrid, name: str, low: float, high: float) -> OccupancyGrid:
-    """Return what lies between two shares of a grid's width; the rest unknown, frame kept."""
-    cells = grid.cells.copy()
-    width = cells.shape[1]
-    cells[:, : round(low * width)] = UNKNOWN
-    cells[:, round(high * width) :] = UNKNOWN
-    return replace(grid, cells=cells).with_name(name)
 
 
 def looked(device: ComputeDevice, grids: dict[str, OccupancyGrid], at: Pose2) -> tuple[bool, str]:
@@ -39,7 +30,7 @@ def looked(device: ComputeDevice, grids: dict[str, OccupancyGrid], at: Pose2) ->
 
 def test_walls_bear_out_what_others_imply(device: ComputeDevice) -> None:
     place = building(3, 11.0, 9.0)
-    grids = {"a": part(place, "a", 0.0, 0.8), "b": part(place, "b", 0.3, 1.0)}
+    grids = {"a": part(place, 0.0, 0.8, "a"), "b": part(place, 0.3, 1.0, "b")}
     stands, words = looked(device, grids, Pose2(0.1, -0.1, math.radians(0.5)))
     assert stands
     assert words.startswith(("99%", "100%", "98%", "97%"))
@@ -48,7 +39,7 @@ def test_walls_bear_out_what_others_imply(device: ComputeDevice) -> None:
 @pytest.mark.parametrize("at", [Pose2(1.5, 0.7), Pose2(0.0, 0.0, math.radians(25.0))])
 def test_walls_contradict_what_others_imply(device: ComputeDevice, at: Pose2) -> None:
     place = building(3, 11.0, 9.0)
-    grids = {"a": part(place, "a", 0.0, 0.8), "b": part(place, "b", 0.3, 1.0)}
+    grids = {"a": part(place, 0.0, 0.8, "a"), "b": part(place, 0.3, 1.0, "b")}
     stands, _ = looked(device, grids, at)
     assert not stands
 
@@ -61,7 +52,7 @@ def test_another_building_on_the_same_ground_contradicts(device: ComputeDevice) 
 
 def test_maps_that_share_little_ground_contradict_nothing(device: ComputeDevice) -> None:
     place = building(3, 11.0, 9.0)
-    grids = {"a": part(place, "a", 0.0, 0.5), "b": part(place, "b", 0.45, 1.0)}
+    grids = {"a": part(place, 0.0, 0.5, "a"), "b": part(place, 0.45, 1.0, "b")}
     stands, words = looked(device, grids, Pose2(0.3, 0.2))
     assert stands
     assert words.endswith("of the ground in common")

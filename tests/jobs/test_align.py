@@ -40,13 +40,6 @@ def test_maps_in_memory_and_in_files_are_aligned_alike(tmp_path: Path) -> None:
         align_maps(truth, tmp_path / "absent.yaml", CONFIG, device())
 
 
-def test_the_start_of_the_search_is_where_it_begins() -> None:
-    truth, grid, pose = moved()
-    near = replace(CONFIG, fusion=fusion_config(window_m=0.2, window_yaw_rad=0.05))
-    assert align_maps(truth, grid, near, device(), start=pose).accepted
-    assert not align_maps(truth, grid, near, device(), start=Pose2(9.0, 9.0, 2.0)).accepted
-
-
 def test_a_start_with_tolerances_is_searched_there_alone() -> None:
     truth, grid, pose = moved()
     away = pose.compose(Pose2(3.0, 3.0, 1.0))
@@ -87,5 +80,6 @@ def test_windows_stand_for_the_tolerances_that_a_start_does_not_have() -> None:
         assert align_maps(
             truth, grid, replace(near, start={"moving": start}), device()
         ).accepted is (is_found)
+    assert not align_maps(truth, grid, near, device(), start=Pose2(*off)).accepted
     # Without windows the defaults hold.
     assert align_maps(truth, grid, replace(CONFIG, start={"moving": off}), device()).accepted
