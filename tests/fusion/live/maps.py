@@ -25,26 +25,20 @@ AWAY = Pose2(31.37, -12.71, 0.4)
 @cache
 def three(seed: int = 3) -> dict[str, OccupancyGrid]:
     """Return three faulty maps of one place, each in a frame of its own; ``a`` is the smallest."""
-    place = building(seed, 12.0, 10.0)
-    faults = {
-        "a": {"flip_share": 0.002, "resample": False},
-        "b": {"yaw_rad": -1.1, "flip_share": 0.01, "shift_share": (0.3, 0.1)},
-        "c": {"yaw_rad": 2.4, "flip_share": 0.005, "margin_share": 0.4, "speckle_share": 0.02},
-    }
-    return {
-        name: degraded(place, 10 * seed + index, name, **fault)[0]
-        for index, (name, fault) in enumerate(faults.items())
-    }
+    return _faulty(building(seed, 12.0, 10.0), seed, speckle_share=0.02)
 
 
 @cache
 def trio(seed: int = 10) -> dict[str, OccupancyGrid]:
     """Return three faulty maps of one small place, whose mirror image fits at half its walls."""
-    place = building(seed, 14.0, 6.0, 0.05)
+    return _faulty(building(seed, 14.0, 6.0, 0.05), seed)
+
+
+def _faulty(place: OccupancyGrid, seed: int, **of_c: float) -> dict[str, OccupancyGrid]:
     faults = {
         "a": {"flip_share": 0.002, "resample": False},
         "b": {"yaw_rad": -1.1, "flip_share": 0.01, "shift_share": (0.3, 0.1)},
-        "c": {"yaw_rad": 2.4, "flip_share": 0.005, "margin_share": 0.4},
+        "c": {"yaw_rad": 2.4, "flip_share": 0.005, "margin_share": 0.4, **of_c},
     }
     return {
         name: degraded(place, 10 * seed + index, name, **fault)[0]

@@ -71,16 +71,6 @@ def test_a_jump_is_confirmed_within_seconds_though_no_map_comes(
     assert share_standing(first, drive.fused) > 0.97
 
 
-def test_a_jump_is_confirmed_by_its_second_equal_message(device: ComputeDevice) -> None:
-    drive = started(device, confirm_s=1000.0)
-    again = moved_frame(three()["b"], AWAY)
-    drive.step(again)
-    drive.maybe(again)
-    assert drive.accepted() == "ac"
-    drive.step(again)
-    assert drive.accepted() == "abc"
-
-
 def test_a_jump_of_the_only_input_left_is_confirmed_by_the_last_fused_map(
     device: ComputeDevice,
 ) -> None:

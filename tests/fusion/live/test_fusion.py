@@ -86,15 +86,6 @@ def test_nothing_new_is_no_update_and_an_equal_map_publishes_nothing(device: Com
     assert drive.accepted() == "abc"
 
 
-def test_reset_starts_again_with_the_newest_maps(device: ComputeDevice) -> None:
-    drive = started(device)
-    drive.live.reset()
-    update = drive.step()
-    assert update.fused is not None
-    assert update.reference == "a"
-    assert drive.accepted() == "abc"
-
-
 # -- the frame never moves -------------------------------------------------------------------------
 
 MARGINS = st.tuples(*[st.integers(-25, 40)] * 4)

@@ -72,8 +72,8 @@ def test_three_that_must_agree_are_not_fused_while_one_does_not(device: ComputeD
 # -- jumps and searches ----------------------------------------------------------------------------
 
 
-def test_a_second_jump_elsewhere_confirms_nothing(device: ComputeDevice) -> None:
-    drive = started(device)
+def test_a_jump_is_confirmed_by_a_second_message_from_there_alone(device: ComputeDevice) -> None:
+    drive = started(device, confirm_s=1000.0)
     for number, motion in enumerate((AWAY, AWAY.inverse(), AWAY)):
         drive.step(touched(moved_frame(three()["b"], motion), number, 0.002))
         assert drive.accepted() == "ac"
