@@ -106,41 +106,33 @@ def test_the_headline_names_the_fused_and_the_rejected_with_the_reason(report: P
     assert page.text.index("Only 3 of 4") < page.text.index("Agreement")
 
 
-@pytest.mark.parametrize(
-    ("share", "strength", "is_told"),
-    [(0.94, "strong", False), (0.8, "fair", False), (0.47, "weak", True)],
-)
-def test_a_weak_match_is_told_first_and_each_says_how_good_it_is(
-    tmp_path: Path, share: float, strength: str, *, is_told: bool
-) -> None:
+def test_a_failure_a_weak_match_and_changed_settings_are_told(report: Path, tmp_path: Path) -> None:
     result = fusion()
-    records = [
+    shares = {"room 1": 0.47, "room 2": 0.8}
+    records = tuple(
         record
         if record.alignment is None
-        else replace(record, alignment=replace(record.alignment, evidence=explains(share)))
+        else replace(
+            record, alignment=replace(record.alignment, evidence=explains(shares[record.name]))
+        )
         for record in result.accepted
-    ]
+    )
     found = tuple(record.alignment for record in records if record.alignment is not None)
-    weak = replace(result, inputs=tuple(records), pairs=found)
-    page = read(write_fusion_report(FusedMaps(CONFIG, weak, None), tmp_path))
-    assert f"accepted: {strength}" in page.text
-    assert ("room 1 may not belong here: fits" in page.text) is is_told
-    said = left_out_sentences(weak)
-    assert any(words.startswith("doubtful: room 1: fits") for words in said) is is_told
-
-
-def test_only_changed_settings_of_a_producer_are_listed_as_changed(tmp_path: Path) -> None:
+    weak = replace(result, inputs=records, pairs=found)
     config = with_settings(with_producers(CONFIG), "graph", resolution=0.07)
-    page = read(write_fusion_report(FusedMaps(config, fusion(), None), tmp_path))
-    changed = page.text.partition("Settings that differ from the defaults")[2].partition("Versions")
-    assert changed[0].split() == ["settingvalue", "producers.graph.resolution0.07"]
-
-
-def test_a_failure_stands_above_everything(tmp_path: Path) -> None:
-    path = write_fusion_report(FusedMaps(CONFIG, fusion(), None), tmp_path, "it may not")
-    page = read(path)
+    page = read(write_fusion_report(FusedMaps(config, weak, None), tmp_path, "it may not"))
     assert page.text.index("Do not use this map") < page.text.index("it may not")
     assert page.text.index("it may not") < page.text.index("Fused:")
+    assert "accepted: weak" in page.text
+    assert "accepted: fair" in page.text
+    assert "accepted: strong" in read(report).text
+    assert "room 1 may not belong here: fits" in page.text
+    assert page.text.count("may not belong here") == 1
+    assert "may not belong here" not in read(report).text
+    doubtful = [words for words in left_out_sentences(weak) if words.startswith("doubtful: ")]
+    assert [words.split(": ")[1] for words in doubtful] == ["room 1"]
+    changed = page.text.partition("Settings that differ from the defaults")[2].partition("Versions")
+    assert changed[0].split() == ["settingvalue", "producers.graph.resolution0.07"]
 
 
 def test_every_part_of_the_fusion_is_shown(report: Path) -> None:
@@ -176,14 +168,6 @@ def test_names_are_escaped_and_run_nothing(report: Path) -> None:
     check_scripts(page)
     assert "more" not in page.tags
     assert "<script>" not in report.read_text(encoding="utf-8")
-
-
-def test_a_page_without_layers_runs_no_script(tmp_path: Path) -> None:
-    error = AlignmentError("they do not fit")
-    error.grids = (room("left", 1), room("right", 2))
-    page = read(write_failed_fusion(error, CONFIG, tmp_path, device=""))
-    assert not page.scripts
-    assert "script-src" not in page.policy
 
 
 def test_the_page_loads_nothing_from_anywhere(report: Path) -> None:
@@ -229,32 +213,29 @@ def test_a_failed_fusion_shows_each_map_and_each_pair(tmp_path: Path) -> None:
     page = read(write_failed_fusion(error, CONFIG, tmp_path, device=""))
     assert "Nothing was fused left and right do not fit" in page.text
     assert f"{NASTY} on left" in page.text
+    # Without layers there is no script.
     assert "script" not in page.tags
+    assert "script-src" not in page.policy
     assert len(list(tmp_path.glob("*.png"))) == 4  # two maps, one pair, one curve
 
 
 def test_an_evaluation_report_names_the_nearest_map_and_the_lost_one(tmp_path: Path) -> None:
     lost = alignment("truth", "room 0", accepted=False)
-    write_evaluation(evaluations(lost), tmp_path, CONFIG)
+    empty = replace(room("empty", 1), cells=np.zeros((40, 60), dtype=np.int8))
+    write_evaluation([*evaluations(lost), evaluation(empty)], tmp_path, CONFIG)
     page = read(tmp_path / "report.html")
     assert "fused is nearest to truth" in page.text
     assert "room 0 could not be aligned:" in page.text
     assert "not aligned" in page.text
-
-
-def test_undefined_measures_are_dashes(tmp_path: Path) -> None:
-    empty = replace(room("empty", 1), cells=np.zeros((40, 60), dtype=np.int8))
-    write_evaluation([evaluation(empty)], tmp_path, CONFIG)
-    page = read(tmp_path / "report.html")
-    assert not re.search(r"\b(nan|inf)\b", page.text)
-    assert "None" not in page.text
+    # What is not defined, as of a map without walls, is a dash.
+    assert not re.search(r"\b(nan|inf|None)\b", page.text)
 
 
 def test_a_place_that_cannot_be_written_is_one_clear_line(tmp_path: Path) -> None:
     blocked = tmp_path / "file"
     blocked.write_text("")
     with pytest.raises(SlamFusionError) as caught:
-        write_fusion_report(FusedMaps(CONFIG, fusion(), None), blocked / "report")
+        write_evaluation(evaluations()[:1], blocked / "report", CONFIG)
     assert str(blocked) in str(caught.value)
     assert "\n" not in str(caught.value)
     assert list(tmp_path.iterdir()) == [blocked]
