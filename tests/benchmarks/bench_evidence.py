@@ -9,6 +9,11 @@ taken (``choose_path``) over that of the best one in hindsight, beside the one w
 best and always the same one; then with the fused path as one more candidate, and one more to be
 best. Intervals are 95 % of a bootstrap that draws whole courses of a world. A kidnapping is cut at
 the place where the robot was carried away, and each segment is a drive of its own.
+
+Drives are those of the ``failures`` experiment, kept in a folder each, named
+CONDITION[-HARMED],LASER-wWORLD-sSEED: scans.pickle, what the robot recorded; truth.tum; NAME.tum of
+each producer; and drive.json, which is written last. Where a fault befalls one producer
+(``harmed``), only that one was fed other scans; a kidnapping befalls all.
 """
 
 from __future__ import annotations
@@ -17,33 +22,136 @@ import argparse
 import itertools
 import json
 import math
+import pickle
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 from rich.table import Table
 
 from slamfusion.compute import ComputeDevice, open_device
+from slamfusion.config import FailuresConfig, RunConfig
 from slamfusion.evaluation.trajectory_error import trajectory_errors
 from slamfusion.evidence.beams import judged_scans
 from slamfusion.evidence.displacement import find_displacements
 from slamfusion.evidence.parting import PART_M
 from slamfusion.evidence.predictive import score_paths
 from slamfusion.evidence.recommendation import choose_path
+from slamfusion.experiments.fusions import produce_maps
+from slamfusion.experiments.trials import FAILURES, FAULTS, Trial, failure_trials
 from slamfusion.geometry import F64, compose_poses, invert_poses
-from slamfusion.io import LogScan
+from slamfusion.io import LogScan, read_trajectory, write_tum
 from slamfusion.jobs.fused_path import fuse_weighed_paths
+from slamfusion.sim import simulate
 from slamfusion.slam.registry import BUILT_IN
 from slamfusion.trajectory import Trajectory
 from tests.benchmarks.record import add_record_option, console_for
-from tests.support.evidence_drives import drive_trials, key_of, make_drive, read_drive
 
 TRUTH, FUSED = "truth", "fused"
 # Drives of this condition are cut where the true path jumps by this, metres.
 KIDNAPPING, JUMP_M = "kidnapping", 1.0
 DRAWS = 2000
+
+
+@dataclass(frozen=True, eq=False)
+class Drive:
+    """A simulated drive as it is kept.
+
+    Attributes:
+        key: name of its folder.
+        trial: the record of it: condition, lidar, world, seed, fault, harmed.
+        scans: what the robot recorded.
+        truth: the true path.
+        paths: by producer.
+    """
+
+    key: str
+    trial: dict[str, str]
+    scans: tuple[LogScan, ...]
+    truth: Trajectory
+    paths: dict[str, Trajectory]
+
+
+def drive_trials(worlds: Sequence[int], lidars: Sequence[str]) -> Iterator[Trial]:
+    """Yield the drives of ``failures``: each fault of one producer befalls each of them in turn.
+
+    Each course has seeds of its own.
+    """
+    for world, (index, course) in itertools.product(worlds, enumerate(FAILURES)):
+        failures = FailuresConfig(
+            repetitions=1,
+            first_world=world,
+            courses=(course,),
+            lidars=tuple(name for name in ("kinect", "hokuyo", "rplidar") if name in lidars),
+        )
+        config = RunConfig(seed=1 + 10 * index)
+        config = replace(config, experiment=replace(config.experiment, failures=failures))
+        for trial in failure_trials(config):
+            for harmed in BUILT_IN if trial.harmed else ("",):
+                yield replace(trial, harmed=harmed)
+
+
+def key_of(trial: Trial) -> str:
+    """Return the name of a drive's folder."""
+    course, lidar = trial.condition.split(", ")
+    name = f"{course} {trial.harmed}".strip().replace(" ", "-")
+    return f"{name},{lidar}-w{trial.course.world.seed}-s{trial.course.seed}"
+
+
+def make_drive(trial: Trial, folder: Path, device: ComputeDevice) -> Path:
+    """Simulate a drive, run the producers on it and keep everything; does nothing where it is.
+
+    Returns:
+        The drive's folder.
+    """
+    target = folder / key_of(trial)
+    if (target / "drive.json").exists():
+        return target
+    target.mkdir(parents=True, exist_ok=True)
+    recording = simulate(trial.course, device)
+    scans = faulty = recording.scans
+    if trial.fault:
+        faulty = FAULTS[trial.fault](scans)
+    truth = recording.truth
+    if not trial.harmed:
+        # A kidnapping cuts out a part; the lines say which scans stayed.
+        stayed = [item.line for item in faulty]
+        index = {item.line: number for number, item in enumerate(scans)}
+        rows = [index[line] for line in stayed]
+        stamps_s = np.array([item.scan.stamp_s for item in faulty])
+        truth = Trajectory(stamps_s, truth.poses[rows], "truth")
+        scans = faulty
+    fed = {name: faulty if trial.harmed in {"", name} else scans for name in BUILT_IN}
+    made = produce_maps(fed, RunConfig(seed=trial.course.seed), device)
+    (target / "scans.pickle").write_bytes(pickle.dumps(scans))
+    write_tum(target / "truth.tum", truth)
+    for name, path in made.paths.items():
+        write_tum(target / f"{name}.tum", path)
+    course, lidar = trial.condition.split(", ")
+    record = {
+        "condition": course,
+        "lidar": lidar,
+        "world": str(trial.course.world.seed),
+        "seed": str(trial.course.seed),
+        "fault": trial.fault,
+        "harmed": trial.harmed,
+    }
+    (target / "drive.json").write_text(json.dumps(record), encoding="utf-8")
+    return target
+
+
+def read_drive(folder: Path) -> Drive:
+    """Read a drive that is kept; OSError: it is not whole."""
+    trial = json.loads((folder / "drive.json").read_text(encoding="utf-8"))
+    paths = {
+        name: replace(read_trajectory(folder / f"{name}.tum"), name=name)
+        for name in BUILT_IN
+        if (folder / f"{name}.tum").exists()
+    }
+    scans = pickle.loads((folder / "scans.pickle").read_bytes())  # noqa: S301  (our own)
+    return Drive(folder.name, trial, scans, read_trajectory(folder / "truth.tum"), paths)
 
 
 def moved_from(path: Trajectory, share: float, motion: Sequence[float]) -> Trajectory:
