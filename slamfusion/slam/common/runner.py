@@ -197,6 +197,7 @@ def run_producer(
     odometry: list[tuple[float, float, float, float]] = []
     known_scans = memory = row = longest_row = 0
     is_complete = True
+    record: LogRecord | None = None
     begun_s = time.perf_counter()
     for item in scans:
         stamp_s, wheels = item.scan.stamp_s, item.odometry
@@ -215,11 +216,15 @@ def run_producer(
             row = row + 1 if is_low else 0
             longest_row = max(longest_row, row)
             memory = max(memory, mapper.memory_bytes())
+            if log is not None and len(feed_s) == limit:
+                # The log reads one scan more, which shows whether the limit cuts anything off.
+                record = copy.deepcopy(LogRecord.of(log))
         if wheels is not None:
             odometry.append((stamp_s, wheels.x, wheels.y, wheels.yaw_rad))
         if progress is not None and stamp_s > known_until_s:
             progress(len(feed_s))
-    record = None if log is None else LogRecord.of(log)
+    if log is not None and (is_complete or record is None):
+        record = LogRecord.of(log)
     if known_scans and not feed_s:
         where = "" if record is None else f"{record.path}: "
         raise SlamFusionError(

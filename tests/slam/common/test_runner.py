@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 
 from slamfusion.errors import SlamFusionError
+from slamfusion.io import open_log, write_carmen
 from slamfusion.io.log import LogScan
 from slamfusion.slam.common.runner import run_producer
 from tests.support.producers import DeadReckoning, ListLog, ResumableReckoning, room_drive
+from tests.test_deskew import sweeps
 
 
 def test_a_run_counts_what_it_did() -> None:
@@ -60,6 +62,15 @@ def test_a_limit_stops_without_a_doubt() -> None:
     assert len(run.odometry) == 4
     exact = run_producer(DeadReckoning(), room_drive(4), limit=4)
     assert exact.complete
+
+
+def test_a_limit_counts_in_the_log_only_the_scans_that_were_fed(tmp_path: Path) -> None:
+    write_carmen(tmp_path / "turning.log", sweeps(20))
+    log = open_log(tmp_path / "turning.log")
+    for limit, count in ((9, 7), (None, 18)):  # how long a sweep takes is known at the third
+        run = run_producer(DeadReckoning(), log, log=log, limit=limit)
+        assert run.log is not None
+        assert f"{count} scans are deskewed" in " ".join(run.log.notes)
 
 
 def test_a_resumed_producer_is_fed_only_what_is_new(tmp_path: Path) -> None:
