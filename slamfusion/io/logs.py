@@ -118,14 +118,25 @@ def _logs_in(folder: Path) -> list[Path]:
     return sorted(item for item in folder.iterdir() if _suffix(item) in _READERS)
 
 
+def _found_in(folder: Path) -> str:
+    """Return what a folder holds that is neither of a bag nor of one log, and what to do."""
+    if known := KINDS.get(folder.suffix):
+        return known
+    if logs := _logs_in(folder):
+        return f"several logs ({', '.join(item.name for item in logs[:_NAMED])}); name one"
+    for item in sorted(folder.iterdir()):
+        if known := KINDS.get(_suffix(item)):
+            return f"one with {item.name}, {known}"
+    return "no such file in it; name a log or a bag's folder"
+
+
 def _reader(where: Path) -> Reader:
     if where.is_dir():
         if is_bag_folder(where):
             return _bag_log
-        logs = ", ".join(item.name for item in _logs_in(where)[:_NAMED])
         raise LogError(
-            f"{where}: a folder without metadata.yaml, .db3 or .mcap is no ROS 2 bag; name a "
-            f"bag's folder or a log file{logs and f' in it ({logs})'}"
+            f"{where}: wanted the folder of a ROS 2 bag (metadata.yaml, .db3 or .mcap) or of one "
+            f"log, found {_found_in(where)}"
         )
     head = read_head(where)
     suffix, known = _suffix(where), _reader_by_content(head)

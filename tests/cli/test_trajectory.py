@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.cli.command import json_of, run
+from tests.cli.command import assert_one_line_failure, json_of, run
 
 # Four poses along a bend, a second apart; the estimate's last place is 0.2 m off to its left.
 TRUTH = [(0.0, 0.0, 0.0, 0.0), (1.0, 1.0, 0.0, 0.0), (2.0, 2.0, 0.0, 0.0), (3.0, 3.0, 0.0, 0.0)]
@@ -67,10 +67,12 @@ def test_odometry_lets_every_relation_count(
     assert document["poses"] == 4
 
 
-def test_a_path_of_positions_alone_is_named(tmp_path: Path) -> None:
-    truth = tum(tmp_path / "gps.tum", [(t, x, float(t == 2.0), 0.0) for t, x, _, _ in TRUTH])
-    done = run("trajectory", tum(tmp_path / "slam.tum", ESTIMATE), "--truth", truth)
-    assert done.stderr.startswith(f"slamfusion: {truth}: all 4 poses have one yaw, but")
+def test_a_folder_without_a_path_is_named_with_what_it_holds(tmp_path: Path) -> None:
+    truth = tum(tmp_path / "true.tum", TRUTH)
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "map.yaml").touch()
+    done = run("trajectory", tmp_path / "run", "--truth", truth)
+    assert_one_line_failure(done, "wanted a folder with .tum files", "found map.yaml; name")
 
 
 def test_a_mirrored_truth_is_named(tmp_path: Path) -> None:

@@ -107,11 +107,16 @@ def test_a_log_whose_scans_are_all_damaged_says_why(tmp_path: Path) -> None:
     assert "2 x wrong number of fields (a cut-off line?) (line 1, 2)" in message
 
 
-def test_a_folder_that_is_no_bag_is_refused(tmp_path: Path) -> None:
-    assert "no ROS 2 bag" in refusal(tmp_path)
+def test_what_a_folder_that_is_no_bag_holds_is_named(tmp_path: Path) -> None:
+    assert "found no such file in it; name a log or a bag's folder" in refusal(tmp_path)
+    store = tmp_path / "out.zarr"
+    store.mkdir()
+    assert "found a store of fused maps; the Python package zarr reads it" in refusal(store)
+    (tmp_path / "graph.tum").touch()
+    assert "found one with graph.tum, a path; `slamfusion trajectory`" in refusal(tmp_path)
     for name in ("a.log", "b.log"):
         write_lines(tmp_path / name, flaser(1))
-    assert "a log file in it (a.log, b.log)" in refusal(tmp_path)
+    assert "found several logs (a.log, b.log); name one" in refusal(tmp_path)
 
 
 def test_the_only_log_of_a_folder_is_taken(tmp_path: Path) -> None:
