@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal, TypeAlias
 
 from slamfusion.config import SMALLEST, FusionConfig, RunConfig, VoteConfig, VoteMode
-from slamfusion.errors import MapFileError
+from slamfusion.errors import ConfigError, MapFileError
 from slamfusion.io.lines import MAP_SUFFIXES
 from slamfusion.jobs.outputs import FUSED
 from slamfusion.json_values import printed_as
@@ -35,6 +35,18 @@ PIXEL_M = 0.05
 # Maps of a folder that a message names.
 MOST_NAMED = 5
 SUFFIXES = (".gz", *MAP_SUFFIXES, ".tum", ".txt", ".csv")
+
+
+def check_count(*names: str) -> None:
+    """Refuse one map alone before any work."""
+    from slamfusion.fusion.groups import LEAST_FUSED  # noqa: PLC0415  (NumPy loads slowly)
+
+    if len(names) < LEAST_FUSED:
+        raise ConfigError(
+            f"wanted at least {LEAST_FUSED} maps to fuse, found that of {names[0]} alone; name "
+            "more SLAMs in --producers, add a saved map with --inputs, or make this map with "
+            f"`slamfusion slam {names[0]}`"
+        )
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from typing import Any
 from slamfusion.align.starts import Starts, place_starts
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
-from slamfusion.errors import AlignmentError, ConfigError, SlamFusionError, TrajectoryError
+from slamfusion.errors import AlignmentError, SlamFusionError, TrajectoryError
 from slamfusion.evaluation.measured import GroundTruth, MeasuredPath, Measures
 from slamfusion.evaluation.trajectory_error import on_clock
 from slamfusion.evidence.beams import JudgedScans, ScanHits, judged_scans, scan_hits
@@ -120,7 +120,7 @@ def run_log(  # noqa: PLR0915 - one page, a heading a stage
         SideBySide(names, Path(log), config, files.scan_odometry) as work,
     ):
         config = work.config
-        _check_count(*names, *saved.names)
+        inputs.check_count(*names, *saved.names)
         prepare()
         true_map = None
         if truth_map is not None:
@@ -249,16 +249,6 @@ def run_log(  # noqa: PLR0915 - one page, a heading a stage
         true_path=ground_truth.truth,
         begun_s=stages.begun_s,
     )
-
-
-def _check_count(*names: str) -> None:
-    """Refuse one map alone before any work."""
-    if len(names) < LEAST_FUSED:
-        raise ConfigError(
-            f"wanted at least {LEAST_FUSED} maps to fuse, found that of {names[0]} alone; name "
-            "more SLAMs in --producers, add a saved map with --inputs, or make this map with "
-            f"`slamfusion slam {names[0]}`"
-        )
 
 
 class _Stages:

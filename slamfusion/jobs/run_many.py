@@ -14,10 +14,11 @@ from slamfusion.errors import SlamFusionError
 from slamfusion.evaluation.measured import Measures, Row, map_figures, result_rows
 from slamfusion.evidence.recommendation import Recommendation
 from slamfusion.fleet import as_done
-from slamfusion.jobs.inputs import Progress, distinct_names
+from slamfusion.jobs.inputs import Progress, check_count, distinct_names
 from slamfusion.jobs.outputs import FUSED, REPORT, RUN_RECORD
 from slamfusion.jobs.records import Settings
 from slamfusion.json_values import FLAT
+from slamfusion.slam.registry import BUILT_IN, with_producers
 
 if TYPE_CHECKING:
     from slamfusion.jobs.run_files import LogRun
@@ -25,11 +26,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class LogTask:
-    """A log and a seed (None: that of the settings), and the folder of the results."""
+    """A log and a seed (None: that of the settings), and the folder of the results.
+
+    Attributes:
+        name: of the log in tables and messages: its file, or what tells it from others so named.
+    """
 
     log: Path
     folder: Path
     case: str = ""
+    name: str = ""
     seed: int | None = None
     probabilities: bool = False
     host: str = field(default_factory=socket.gethostname)
@@ -64,11 +70,7 @@ class RunOfLog:
     seed: int | None = None
     """Seed of the run; null: that of the settings."""
     rows: Sequence[Row] = field(default=(), repr=False)
-
-    @property
-    def name(self) -> str:
-        """The log, and the seed."""
-        return self.log.name if self.seed is None else f"{self.log.name} seed {self.seed}"
+    name: str = field(default="", repr=False)
 
 
 @dataclass(frozen=True)
@@ -105,11 +107,13 @@ def log_tasks(
     names = [name.replace("/", "-") for name in distinct_names(logs)]
     stems = [Path(name).stem for name in names]
     names = stems if len(set(stems)) == len(stems) else names
+    is_shared = len({log.name for log in logs}) < len(logs)
     return [
         LogTask(
             log.absolute(),
             folder.absolute() / name / ("" if seed is None else f"seed-{seed}"),
             name,
+            (name if is_shared else log.name) + ("" if seed is None else f" seed {seed}"),
             seed,
             probabilities,
         )
@@ -132,13 +136,20 @@ def run_logs(
 
     Args:
         options: arguments of ``run_log``.
+
+    Raises:
+        ConfigError: an unknown producer, or one alone without a saved map: no log could be run.
     """
+    options = options or {}
+    names = config.run.producers or BUILT_IN
+    config = with_producers(config, names)
+    check_count(*names, *map(str, options.get("saved_maps", ())))
 
     def tell(count: float) -> None:
         progress("logs", count, len(tasks))
 
     tell(0.0)
-    done = dict(as_done(executor, run_one, tasks, config, options or {}, progress=tell))
+    done = dict(as_done(executor, run_one, tasks, config, options, progress=tell))
     return [done[task] for task in tasks]
 
 
@@ -166,7 +177,9 @@ def run_one(
         words, host = " ".join(str(error).split()), socket.gethostname()
         if host != task.host:  # a folder may be missing on that machine
             words += f" (on {host})"
-        return RunOfLog(log=task.log, seed=task.seed, error=words, warnings=warnings)
+        return RunOfLog(
+            log=task.log, seed=task.seed, error=words, warnings=warnings, name=task.name
+        )
     return outcome(task, run, warnings)
 
 
@@ -175,6 +188,7 @@ def outcome(task: LogTask, run: LogRun, warnings: Sequence[str]) -> RunOfLog:
     return RunOfLog(
         log=task.log,
         seed=task.seed,
+        name=task.name,
         folder=run.folder,
         fused=run.fused,
         record=None if run.fused is None else run.folder / RUN_RECORD,

@@ -25,11 +25,15 @@ def test_folders_are_called_as_the_logs_are() -> None:
         tasks = log_tasks([Path(log) for log in logs], Path("/out"))
         assert all(task.folder.parent == Path("/out") for task in tasks)
         assert all(task.log.is_absolute() for task in tasks)
+        shown.extend(task.name for task in tasks)
         return [task.folder.name for task in tasks]
 
+    shown: list[str] = []
     assert names("/x/a.log", "/x/b.bag") == ["a", "b"]
     assert names("/x/a.log", "/x/a.bag") == ["a.log", "a.bag"]
     assert names("/x/a.log", "/y/a.log") == ["x-a", "y-a"]
+    # Tables show the file's name, or what tells it from another of this name.
+    assert shown == ["a.log", "b.bag", "a.log", "a.bag", "x-a", "y-a"]
 
 
 def test_logs_that_fail_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -68,6 +72,21 @@ def test_no_input_is_replaced_by_the_results_of_a_log(
     assert f"-o {out} would replace the input {out / 'a' / given}" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ("producers", "words"),
+    [("graph", "found that of graph alone; "), ("graph,grph", "did you mean 'graph'?")],
+)
+def test_settings_that_no_log_could_be_run_with_are_refused_once(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], producers: str, words: str
+) -> None:
+    words_given = ["run", "a.log", "b.log", "-o", str(tmp_path / "out"), "--producers", producers]
+    assert run_program(words_given) == 1
+    printed = capsys.readouterr()
+    (line,) = printed.err.splitlines()
+    assert line.count(words) == 1
+    assert printed.out == ""
+
+
 def test_a_scheduler_is_for_several_logs(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -94,7 +113,9 @@ def test_what_could_not_be_measured_is_told_by_the_code_as_of_one_log(
     def mapped(task: run_many.LogTask, *_: object) -> RunOfLog:
         troubles = ("the fused path: no pose in time",) if task.log.stem == "a" else ()
         answer = Recommendation("graph", "graph", "graph")
-        return RunOfLog(log=task.log, recommendation=answer, not_measured=troubles, time_s=1.0)
+        return RunOfLog(
+            log=task.log, recommendation=answer, not_measured=troubles, time_s=1.0, name=task.name
+        )
 
     monkeypatch.setattr(run_many, "run_one", mapped)
     words = ["run", "a.log", "b.log", "-o", str(tmp_path), "--json"]
