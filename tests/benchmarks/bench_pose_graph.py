@@ -25,6 +25,7 @@ last verdict (``optimize(start="given", weights=...)``). CPU time of one such so
 from __future__ import annotations
 
 import argparse
+import itertools
 import time
 from collections.abc import Callable
 from functools import partial
@@ -143,92 +144,55 @@ def rival(graph: GtsamGraph, start: F64, repetitions: int) -> tuple[float, F64, 
     return by_qr_s, by_qr, " (QR)"
 
 
-def false(names: tuple[str, ...], methods: tuple[Robust, ...], seeds: int) -> Table:
-    """Return how far false closures take the trajectory."""
-    columns = (
-        "graph, method, added, runs, within 5 %, off % mean, off % worst, true doubted, "
-        "false believed, chi2 worst, time s"
-    )
-    table = Table(*columns.split(", "), title="false closures added")
+TITLES = {"false": "false closures added", "online": "graphs that grow, solved every 20 poses"}
+COLUMNS = "graph, method, added, runs, within 5 %, off % mean, off % worst, true doubted, "
+MORE = {
+    "false": "false believed, chi2 worst, time s",
+    "online": "false believed, solutions, median ms, p95 ms, longest ms",
+}
+
+
+def robustness(part: str, names: tuple[str, ...], methods: tuple[Robust, ...], seeds: int) -> Table:
+    """Return how far false closures take the trajectory, of whole graphs or of growing ones."""
+    table = Table(*(COLUMNS + MORE[part]).split(", "), title=TITLES[part])
     for name in names:
         graph = load(name)
         solution = optimize(graph)
-        true_chi2 = solution.chi2
+        true_chi2, true = solution.chi2, len(graph.edges)
         graph = graph.with_poses(solution.poses)
-        for method in methods:
-            for share in (0.0, 0.1, 0.3):
-                rows = []
-                for kind in KINDS if share else KINDS[:1]:
-                    for seed in range(seeds if share else 1):
-                        false_too = with_false_closures(graph, share, seed, kind)
-                        rows.append(outcome(graph, false_too, method, true_chi2))
-                off, doubted, believed, chi2, seconds = np.array(rows).T
-                table.add_row(
-                    name,
-                    method,
-                    f"{100.0 * share:.0f} %",
-                    str(len(rows)),
-                    str(int((off <= WITHIN).sum())),
-                    f"{100.0 * off.mean():.3f}",
-                    f"{100.0 * off.max():.3f}",
-                    f"{doubted.mean():.2f}",
-                    f"{believed.mean():.2f}",
-                    f"{chi2.max():.4g}",
-                    f"{seconds.mean():.2f}",
-                )
-                progress(name, method, share, off, seconds)
+        for method, share in itertools.product(methods, (0.0, 0.1, 0.3)):
+            runs = [(KINDS[seed % 2], seed) for seed in range(seeds if share else 1)]
+            if part == "false" and share:
+                runs = list(itertools.product(KINDS, range(seeds)))
+            rows, seconds = [], []
+            for kind, seed in runs:
+                false_too = with_false_closures(graph, share, seed, kind)
+                poses, doubted, times = (whole if part == "false" else drive)(false_too, method)
+                wrong = int(doubted[:true].sum()), int((~doubted[true:]).sum())
+                chi2 = float(chi2_of(graph, poses).sum()) / true_chi2
+                rows.append((apart(graph.poses, poses), *wrong, chi2, len(times)))
+                seconds.append(times)
+            off, lost, believed, chi2s, solutions = np.array(rows).T
+            each = np.concatenate(seconds)
+            row = [name, method, f"{100.0 * share:.0f} %", str(len(rows))]
+            row += [str(int((off <= WITHIN).sum()))]
+            row += [f"{100.0 * off.mean():.3f}", f"{100.0 * off.max():.3f}"]
+            row += [f"{lost.mean():.2f}", f"{believed.mean():.2f}"]
+            if part == "false":
+                row += [f"{chi2s.max():.4g}", f"{each.mean():.2f}"]
+            else:
+                row += [f"{solutions.mean():.0f}"]
+                row += [f"{1e3 * np.quantile(each, place):.1f}" for place in (0.5, 0.95, 1.0)]
+            table.add_row(*row)
+            progress(row)
     return table
 
 
-def outcome(
-    graph: PoseGraph, false_too: PoseGraph, method: Robust, true_chi2: float
-) -> tuple[float, int, int, float, float]:
-    """Optimise without any given pose; return how far off, the wrong verdicts, chi2 and time."""
+def whole(graph: PoseGraph, method: Robust) -> tuple[F64, npt.NDArray[np.bool_], F64]:
+    """Optimise at once, without any given pose; see ``drive``."""
     began = time.process_time()
-    given = false_too.with_poses(np.zeros_like(false_too.poses))
-    found = optimize(given, robust=method)
-    seconds = time.process_time() - began
-    true = len(graph.edges)
-    believed = ~found.is_outlier
-    return (
-        apart(graph.poses, found.poses),
-        int((~believed[:true]).sum()),
-        int(believed[true:].sum()),
-        float(chi2_of(graph, found.poses).sum()) / true_chi2,
-        seconds,
-    )
-
-
-def online(names: tuple[str, ...], methods: tuple[Robust, ...], seeds: int) -> Table:
-    """Return how a graph that grows comes through, and the time of one solution."""
-    columns = (
-        "graph, method, added, runs, within 5 %, off % mean, off % worst, true doubted, "
-        "false believed, solutions, median ms, p95 ms, longest ms"
-    )
-    table = Table(*columns.split(", "), title="graphs that grow, solved every 20 poses")
-    for name in names:
-        graph = load(name)
-        graph = graph.with_poses(optimize(graph).poses)
-        true = len(graph.edges)
-        for method in methods:
-            for share in (0.0, 0.1, 0.3):
-                rows, seconds = [], []
-                for seed in range(seeds if share else 1):
-                    false_too = with_false_closures(graph, share, seed, KINDS[seed % 2])
-                    poses, doubted, times = drive(false_too, method)
-                    wrong = int(doubted[:true].sum()), int((~doubted[true:]).sum())
-                    rows.append((apart(graph.poses, poses), *wrong, len(times)))
-                    seconds.append(times)
-                off, lost, believed, solutions = np.array(rows).T
-                each = 1e3 * np.concatenate(seconds)
-                row = [name, method, f"{100.0 * share:.0f} %", str(len(rows))]
-                row += [str(int((off <= WITHIN).sum()))]
-                row += [f"{100.0 * off.mean():.3f}", f"{100.0 * off.max():.3f}"]
-                row += [f"{lost.mean():.2f}", f"{believed.mean():.2f}", f"{solutions.mean():.0f}"]
-                row += [f"{np.quantile(each, part):.1f}" for part in (0.5, 0.95, 1.0)]
-                table.add_row(*row)
-                progress(row)
-    return table
+    found = optimize(graph.with_poses(np.zeros_like(graph.poses)), robust=method)
+    return found.poses, found.is_outlier, np.array([time.process_time() - began])
 
 
 def drive(graph: PoseGraph, method: Robust) -> tuple[F64, npt.NDArray[np.bool_], F64]:
@@ -276,10 +240,8 @@ def main() -> None:
     names = tuple(options.graphs or (SMALL if is_slow else NAMES))
     if options.part == "clean":
         table = clean(names, options.repetitions)
-    elif options.part == "false":
-        table = false(names, methods, options.seeds)
     else:
-        table = online(names, methods, options.seeds)
+        table = robustness(options.part, names, methods, options.seeds)
     console_for(f"pose-graphs-{options.part}", options.record, width=200).print(table)
 
 
