@@ -124,13 +124,9 @@ def test_static_transforms_hold_at_every_time() -> None:
 
 # --- live -----------------------------------------------------------------------------------------
 
-Sent = tuple[str, str, float, tuple[float, ...]]
 
-
-def sent(parent: str, child: str, pose: Pose2, time_s: float = 0.0) -> Sent:
-    half_rad = pose.yaw_rad / 2.0
-    turn = (0.0, 0.0, math.sin(half_rad), math.cos(half_rad))
-    return parent, child, time_s, (pose.x, pose.y, 0.0, *turn)
+def sent(parent: str, child: str, pose: Pose2, time_s: float = 0.0) -> tuple[str, str, float, Row]:
+    return parent, child, time_s, level(pose.x, pose.y, pose.yaw_rad)
 
 
 def near(one: Pose2, other: Pose2) -> bool:

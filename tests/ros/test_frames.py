@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import math
 import threading
 from typing import Any
 
@@ -16,6 +15,7 @@ from slamfusion.geometry import Pose2
 from slamfusion.ros.frames import TransformStore
 from slamfusion.ros.fused_frames import ChildFrames
 from slamfusion.ros.messages import to_stamp, transform_to_message
+from tests.io.test_transforms import near
 
 pytestmark = pytest.mark.ros
 
@@ -26,11 +26,6 @@ LONG_S = 600.0
 
 def sent(parent: str, child: str, pose: Pose2, time_s: float = 0.0) -> Any:
     return transform_to_message(pose, parent, child, to_stamp(time_s))
-
-
-def near(one: Pose2, other: Pose2) -> bool:
-    turn = math.remainder(one.yaw_rad - other.yaw_rad, 2.0 * math.pi)
-    return math.hypot(one.x - other.x, one.y - other.y) < 1e-6 and abs(turn) < 1e-7
 
 
 def test_a_message_of_an_upside_down_frame():

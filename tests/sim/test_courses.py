@@ -119,13 +119,6 @@ def test_bad_files_are_refused_in_one_line(tmp_path: Path, values: Any, words: s
     assert "\n" not in str(caught.value)
 
 
-def test_what_is_no_yaml_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "course.yaml"
-    path.write_text("world: [1\n}", encoding="utf-8")
-    with pytest.raises(ConfigError, match="not YAML"):
-        load_course(path)
-
-
 @pytest.mark.parametrize("name", ["", "../x", ".hidden", "a/b"])
 def test_a_name_that_is_no_file_name_is_refused(tmp_path: Path, name: str) -> None:
     with pytest.raises(SimulationError, match="must be a plain file name"):
