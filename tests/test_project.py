@@ -64,15 +64,6 @@ def test_scripts_and_files_that_workflows_name_are_there(path: Path):
         assert (ROOT / name).is_file(), name
 
 
-@pytest.mark.parametrize("name", ["bug", "idea"])
-def test_an_issue_form_asks_something(name: str):
-    form = yaml.safe_load(read(f".github/ISSUE_TEMPLATE/{name}.yml"))
-    assert {"name", "description", "body"} <= set(form)
-    assert any(item.get("validations", {}).get("required") for item in form["body"])
-    ids = [item["id"] for item in form["body"]]
-    assert len(set(ids)) == len(ids)
-
-
 @pytest.mark.parametrize("name", ["Dockerfile", "Dockerfile.jazzy"])
 def test_a_docker_file_copies_what_is_there(name: str):
     text = read(f"launch_scripts/{name}")
