@@ -212,10 +212,12 @@ def test_a_failed_fusion_shows_the_maps_and_why(tmp_path: Path) -> None:
     assert "Fused map" not in text
 
 
-def test_a_map_that_may_not_be_used_is_not_called_fused(tmp_path: Path) -> None:
+def test_a_map_that_may_not_be_used_is_not_called_fused() -> None:
     failure = SlamFusionError("--require-all, but one was rejected")
     full = everything()
     report = replace(full, fusion=replace(full.fusion, failure=failure), error=str(failure))
-    text = read(write_page(run_page(report), tmp_path)).text
-    assert "Do not use this map --require-all, but one was rejected" in text
-    assert "maps were fused" not in text
+    banner = run_page(report).banner
+    assert (banner.tone, banner.headline) == ("bad", "Do not use this map")
+    said = "\n".join(words for line in banner.lines for words in line)
+    assert "--require-all, but one was rejected" in said
+    assert "maps were fused" not in said
