@@ -10,11 +10,9 @@ import numpy as np
 import pytest
 
 from slamfusion.align.align import align_pair
-from slamfusion.align.features import GridFeatures
 from slamfusion.align.pair import Pair
 from slamfusion.align.records import Alignment
 from slamfusion.compute import ComputeDevice
-from slamfusion.config import FusionConfig
 from slamfusion.fusion import FusionResult, align_grids, fuse_grids
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
@@ -92,37 +90,22 @@ def test_all_pairs_of_a_place_are_accepted_and_their_triangles_close(
     assert_triangles_close(grids, pairs)
 
 
-class Prepared:
-    """Features of recorded maps, each made once a resolution."""
-
-    def __init__(self, device: ComputeDevice) -> None:
-        self.device = device
-        self.kept: dict[tuple[str, float], GridFeatures] = {}
-
-    def features(self, entry: MapEntry, resolution: float) -> GridFeatures:
-        key = (entry.file, resolution)
-        if key not in self.kept:
-            self.kept[key] = features_of(load_entry(entry), self.device, resolution)
-        return self.kept[key]
-
-    def align(self, a: MapEntry, b: MapEntry, config: FusionConfig = QUICK) -> Alignment:
-        size = min(entry.cell_size_m or 0.05 for entry in (a, b))
-        pair = sorted(
-            (self.features(entry, size) for entry in (a, b)), key=lambda f: math.prod(f.shape)
-        )
-        return align_pair(Pair(pair[0], pair[1]), config.align)
+def aligned(a: MapEntry, b: MapEntry, device: ComputeDevice) -> Alignment:
+    """Align the larger of two recorded maps with the smaller one."""
+    size = min(entry.cell_size_m or 0.05 for entry in (a, b))
+    features = [features_of(load_entry(entry), device, size) for entry in (a, b)]
+    return align_pair(Pair(*sorted(features, key=lambda own: math.prod(own.shape))), QUICK.align)
 
 
 def test_maps_of_different_places_are_never_accepted(
     device: ComputeDevice, request: pytest.FixtureRequest
 ) -> None:
-    prepared = Prepared(device)
     entries = itertools.combinations(map_entries(), 2)
     pairs = [pair for pair in entries if are_different_places(*pair)]
     # Of some two thousand pairs, evenly: maps against maps of every kind.
     wanted = 40 if request.config.getoption("--full") else 4
     chosen = pairs[11 :: len(pairs) // wanted]
-    found = [prepared.align(a, b) for a, b in chosen]
+    found = [aligned(a, b, device) for a, b in chosen]
     assert len(found) >= wanted
     assert [f"{p.moving}-{p.reference}: {p.reason}" for p in found if p.accepted] == []
 
@@ -187,9 +170,8 @@ def test_a_plan_with_smoothed_lines_is_no_warehouse(device: ComputeDevice) -> No
     named = {entry.file: entry for entry in map_entries()}
     plan = named["halmstad/maps/HIH/layout/HIH_layout.png"]
     warehouse = named["worlds/nav2/warehouse.yaml"]
-    prepared = Prepared(device)
     for pair in ((plan, warehouse), (warehouse, plan)):
-        found = prepared.align(*pair)
+        found = aligned(*pair, device)
         assert not found.accepted, found.reason
 
 
