@@ -16,9 +16,8 @@ import hashlib
 import json
 import multiprocessing
 from collections import Counter, OrderedDict
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -70,45 +69,10 @@ OUTCOMES = ("accepted right", "accepted wrong", "found, rejected", "not found")
 WALL_ENOUGH_M = 10
 
 
-@dataclass(frozen=True)
-class Result:
-    """One pair: how it was made, how near the answer is, and the alignment's own record.
-
-    Attributes:
-        name, what, place, seed: of the case.
-        reference_map, moving_map: what they were cut from.
-        axis, reference_side, moving_side: how; None for whole maps.
-        overlap: of each half; None where there is no right answer.
-        common_walls: wall cells on the ground in common, of the map that has fewer there.
-        common_wall_m: their length in metres, a cell's each; thick walls count more than once.
-        is_right: whether the answer, accepted or not, is right.
-        error_m, error_deg: how far it is from the truth; None without one.
-        alignment: as ``align --json`` writes it.
-    """
-
-    name: str
-    what: str
-    place: str
-    seed: int
-    reference_map: str
-    moving_map: str
-    axis: str | None
-    reference_side: str | None
-    moving_side: str | None
-    overlap: float | None
-    common_walls: int
-    common_wall_m: float
-    is_right: bool
-    error_m: float | None
-    error_deg: float | None
-    alignment: Mapping[str, Any]
-
-    @property
-    def outcome(self) -> str:
-        """One of ``OUTCOMES``."""
-        if self.alignment["accepted"]:
-            return OUTCOMES[0] if self.is_right else OUTCOMES[1]
-        return OUTCOMES[2] if self.is_right else OUTCOMES[3]
+# A pair: how it was made (metres, degrees), how near the answer is, and ``align --json``. Of whole
+# maps axis and sides are None, and errors where there is no right answer. ``common_walls`` are the
+# wall cells on the ground in common, of the map that has fewer there.
+Result = dict[str, Any]
 
 
 class Aligner:
@@ -140,25 +104,26 @@ class Aligner:
         reference, moving = (self.feature(grid, size) for grid in (case.reference, case.moving))
         record = align_pair(Pair(reference, moving), self.config.align)
         error = case.error(record.transform)
-        is_cut = draft.reference.axis is not None
-        return Result(
-            case.name,
-            case.what,
-            case.place,
-            draft.seed,
-            draft.reference.source,
-            draft.moving.source,
-            draft.reference.axis,
-            draft.reference.side if is_cut else None,
-            draft.moving.side if is_cut else None,
-            case.overlap,
-            case.common_walls,
-            case.common_walls * case.reference.resolution,
-            case.is_right(record.transform),
-            None if error is None else error[0],
-            None if error is None else error[1],
-            plain(record),
-        )
+        is_right, is_cut = case.is_right(record.transform), draft.reference.axis is not None
+        return {
+            "name": case.name,
+            "what": case.what,
+            "place": case.place,
+            "seed": draft.seed,
+            "reference_map": draft.reference.source,
+            "moving_map": draft.moving.source,
+            "axis": draft.reference.axis,
+            "reference_side": draft.reference.side if is_cut else None,
+            "moving_side": draft.moving.side if is_cut else None,
+            "overlap": case.overlap,
+            "common_walls": case.common_walls,
+            "common_wall_m": case.common_walls * case.reference.resolution,
+            "is_right": is_right,
+            "outcome": OUTCOMES[2 * (not record.accepted) + (not is_right)],
+            "error_m": None if error is None else error[0],
+            "error_deg": None if error is None else error[1],
+            "alignment": plain(record),
+        }
 
 
 def _start_worker(on_device: str) -> None:
@@ -176,12 +141,7 @@ _aligner: Aligner
 def results_of(
     drafts: list[Draft], processes: int, on_device: str
 ) -> Iterator[tuple[str, Result | None]]:
-    """Align all pairs, in several processes where asked; in no certain order."""
-    if processes == 1:
-        aligner = Aligner(on_device)
-        for draft in drafts:
-            yield draft.what, aligner.align(draft)
-        return
+    """Align all pairs in processes of their own, in no certain order."""
     # A device that was opened before a fork is of no use after it.
     context = multiprocessing.get_context("spawn")
     with context.Pool(processes, _start_worker, (on_device,)) as pool:
@@ -219,9 +179,9 @@ def _in_blocks(drafts: list[Draft]) -> list[Draft]:
 def print_found(results: list[Result], console: Console) -> None:
     """Print the tables of pairs that have a right answer: all, and those with walls enough."""
     _print_counts(results, "overlap of each half", console)
-    walled = [result for result in results if result.common_wall_m >= WALL_ENOUGH_M]
+    walled = [result for result in results if result["common_wall_m"] >= WALL_ENOUGH_M]
     _print_counts(walled, f"the same, at least {WALL_ENOUGH_M} m of wall in common", console)
-    if any(result.what in POSITIVES for result in results):
+    if any(result["what"] in POSITIVES for result in results):
         console.print(" / ".join(OUTCOMES))
 
 
@@ -231,10 +191,10 @@ def _print_counts(results: list[Result], title: str, console: Console) -> None:
     for what in POSITIVES:
         row = []
         for overlap in OVERLAPS:
-            some = [r for r in results if r.what == what and r.overlap == overlap]
-            counts = Counter(result.outcome for result in some)
+            some = [r for r in results if r["what"] == what and r["overlap"] == overlap]
+            counts = Counter(result["outcome"] for result in some)
             row.append(" / ".join(str(counts[o]) for o in OUTCOMES) + f" of {len(some)}")
-        if any(result.what == what for result in results):
+        if any(result["what"] == what for result in results):
             table.add_row(what, *row)
     if table.row_count:
         console.print(table)
@@ -244,28 +204,28 @@ def print_believed(results: list[Result], console: Console) -> None:
     """Print how many of the pairs without a right answer are accepted, and each wrong one."""
     table = Table("pairs of", "accepted", "of", title="nothing here is right")
     for what in NEGATIVES:
-        some = [result for result in results if result.what == what]
+        some = [result for result in results if result["what"] == what]
         if some:
-            accepted = sum(result.alignment["accepted"] for result in some)
+            accepted = sum(result["alignment"]["accepted"] for result in some)
             table.add_row(what, str(accepted), str(len(some)))
     if table.row_count:
         console.print(table)
     for result in results:
-        if result.outcome == "accepted wrong":
+        if result["outcome"] == "accepted wrong":
             off = (
-                f", {result.error_m:.2f} m, {result.error_deg:.1f} deg off"
-                if result.overlap
+                f", {result['error_m']:.2f} m, {result['error_deg']:.1f} deg off"
+                if result["overlap"]
                 else ""
             )
-            reason = result.alignment["reason"]
-            console.print(f"WRONG: {result.name}{off}: {reason}", markup=False)
+            reason = result["alignment"]["reason"]
+            console.print(f"WRONG: {result['name']}{off}: {reason}", markup=False)
 
 
 def print_times(results: list[Result], console: Console) -> None:
     """Print how long an alignment took, maps read and prepared; fields made on demand count."""
     table = Table("set", "median s", "90 % s", "longest s", title="time of an alignment")
     for what in (*POSITIVES, *NEGATIVES):
-        times = [result.alignment["time_s"] for result in results if result.what == what]
+        times = [result["alignment"]["time_s"] for result in results if result["what"] == what]
         if times:
             numbers = (*np.percentile(times, (50, 90)), max(times))
             table.add_row(what, *(f"{number:.3f}" for number in numbers))
@@ -274,15 +234,10 @@ def print_times(results: list[Result], console: Console) -> None:
 
 def print_all(results: list[Result], console: Console) -> None:
     """Print every table."""
-    results = sorted(results, key=lambda result: result.name)
+    results = sorted(results, key=lambda result: result["name"])
     print_found(results, console)
     print_believed(results, console)
     print_times(results, console)
-
-
-def line_of(result: Result) -> str:
-    """Return a result as a line of JSON; what is not finite becomes null."""
-    return json.dumps(plain(asdict(result)), allow_nan=False)
 
 
 def main() -> None:
@@ -316,7 +271,7 @@ def main() -> None:
                 continue
             results.append(result)
             if file is not None:
-                print(line_of(result), file=file, flush=True)
+                print(json.dumps(plain(result), allow_nan=False), file=file, flush=True)
     print_all(results, console)
     for what, count in left_out.items():
         console.print(f"{what}: {count} pairs with too few walls in common were left out")
