@@ -52,7 +52,7 @@ def started(
     if name == "player":
         log = write_log(folder, 4)
         # Longer than the tests take: it ends when nobody comes.
-        more = {"file": str(log), "wait_for": ["tinyslam"], "save": "maps"}
+        more = {"file": str(log), "wait_for": ["tinyslam"], "save": str(folder / "maps")}
         more["start_timeout_s"] = 600.0
     with pytest.MonkeyPatch.context() as patch, free_domain() as domain:
         for key, value in ros_environment(domain).items():
