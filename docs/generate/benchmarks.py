@@ -1,7 +1,7 @@
 """Tables of benchmarks, from the JSON files in ``docs/benchmarks/data``.
 
 Each file is the last measurement of one table, ``NAME.json``, with what was run, when, on which
-machine and at which commit. ``tests.benchmarks.record`` writes them; nobody edits them.
+machine and at which commit. ``tests.benchmarks.record`` writes them; do not edit them.
 """
 
 from __future__ import annotations

@@ -143,7 +143,7 @@ TILE_PLACE_MASK: Final = (TILE << WALK_SHIFT) - 1
 # -- scan matching ---------------------------------------------------------------------------------
 
 # Items of a work-group of one dimension: poses that a climber tries in a round, or shares of the
-# beams of a map.
+# points of a fit or of the beams of a map.
 CLIMBERS: Final = 16
 # Hits that a kernel may read together: their number on the device is rounded up to this.
 HIT_LANES: Final = 16

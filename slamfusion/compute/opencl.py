@@ -68,8 +68,8 @@ def _family_source(folder: Path, family: str) -> str:
 
 
 # PoCL compiles a kernel for every new work-group size, and chooses slow sizes by itself: one fixed
-# size for each number of dimensions. A group of one dimension is a round of a climb, or
-# a map's beams: ``count_beams`` relies on it.
+# size for each number of dimensions. A group of one dimension is a round of a climb, a
+# fit, or a map's beams: ``count_beams`` relies on it.
 LOCAL_SIZES = {1: (CLIMBERS,), 2: (16, 4), 3: (1, 4, 1)}
 # Tables that are kept, the last ones: alignments make tables of their own for each map.
 MOST_TABLES = 64

@@ -90,9 +90,9 @@ LEAST_SEEN, DRIFT = 3 * LEAST_HITS, 0.1
 ADDED_SCANS = 5
 # A stamp that goes back by more, seconds, is that of a new drive.
 BACK_S = 1.0
-# A rest this many times as long as it took belongs to each solution, and at least so many seconds
-# follow it. Together at most 15 % of a core: in between the pose goes by scans that match what was
-# solved, so new places need new solutions.
+# After each solution: a rest of this many times its duration, and at least this number of seconds.
+# Together at most 15 % of a core: in between the pose goes by scans that match what was solved, so
+# new places need new solutions.
 RESTS: Mapping[Depth, tuple[float, float]] = {
     "judged": (29.0, 2.0),
     "window": (12.0, 2.0),
@@ -274,21 +274,18 @@ class LiveDrive:
             if solution.generation != self._generation:
                 return False
             before, self.solution = self.solution, solution
-            if before is not None and before.walls is solution.walls:  # judged again
-                first = _variances(CORRECTION_M, CORRECTION_RAD)
-                self._corrections = {
-                    name: self._corrections.get(name, (motion, first))
-                    for name, motion in solution.supported.items()
-                }
-                return True
-            self._grown = solution.walls
-            recent = self._scans[-2 * LEAST_SCANS :]
-            near, meets = path.matches(np.array([own.stamp_s for own in recent]))
-            self._located = [(recent[at], path.poses[near[at]]) for at in np.flatnonzero(meets)]
+            # With the path and the walls of before, the inputs alone were judged again.
+            is_same = before is not None and before.path is path and before.walls is solution.walls
+            kept = self._corrections if is_same else {}
+            first = _variances(CORRECTION_M, CORRECTION_RAD)
             self._corrections = {
-                name: (motion, _variances(CORRECTION_M, CORRECTION_RAD))
-                for name, motion in solution.supported.items()
+                name: kept.get(name, (motion, first)) for name, motion in solution.supported.items()
             }
+            if not is_same:
+                self._grown = solution.walls
+                recent = self._scans[-2 * LEAST_SCANS :]
+                near, meets = path.matches(np.array([own.stamp_s for own in recent]))
+                self._located = [(recent[at], path.poses[near[at]]) for at in np.flatnonzero(meets)]
         return True
 
     def locate(self, name: str, stamp_s: float, pose: Pose2) -> ScanMatch | None:

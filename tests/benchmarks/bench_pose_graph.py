@@ -147,8 +147,8 @@ def rival(graph: GtsamGraph, start: F64, repetitions: int) -> tuple[float, F64, 
 TITLES = {"false": "false closures added", "online": "graphs that grow, solved every 20 poses"}
 COLUMNS = "graph, method, added, runs, within 5 %, off % mean, off % worst, true doubted, "
 MORE = {
-    "false": "false believed, chi2 worst, time s",
-    "online": "false believed, solutions, median ms, p95 ms, longest ms",
+    "false": "false accepted, chi2 worst, time s",
+    "online": "false accepted, solutions, median ms, p95 ms, longest ms",
 }
 
 
@@ -172,12 +172,12 @@ def robustness(part: str, names: tuple[str, ...], methods: tuple[Robust, ...], s
                 chi2 = float(chi2_of(graph, poses).sum()) / true_chi2
                 rows.append((apart(graph.poses, poses), *wrong, chi2, len(times)))
                 seconds.append(times)
-            off, lost, believed, chi2s, solutions = np.array(rows).T
+            off, lost, accepted, chi2s, solutions = np.array(rows).T
             each = np.concatenate(seconds)
             row = [name, method, f"{100.0 * share:.0f} %", str(len(rows))]
             row += [str(int((off <= WITHIN).sum()))]
             row += [f"{100.0 * off.mean():.3f}", f"{100.0 * off.max():.3f}"]
-            row += [f"{lost.mean():.2f}", f"{believed.mean():.2f}"]
+            row += [f"{lost.mean():.2f}", f"{accepted.mean():.2f}"]
             if part == "false":
                 row += [f"{chi2s.max():.4g}", f"{each.mean():.2f}"]
             else:

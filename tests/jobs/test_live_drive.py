@@ -374,6 +374,17 @@ def test_new_poses_are_located_on_the_solved_walls(device: ComputeDevice) -> Non
     unsure = robot.live.locate("a", 1e3, drifted)
     assert unsure is not None
     assert np.all(np.diag(unsure.covariance) > (0.09, 0.04, 0.01))
+    # Where no scan sees a wall, a new path moves the poses as well.
+    robot.live.take(replace(solution, walls=None))
+    before = robot.live.locate("a", 1e3, drifted)
+    transforms = dict.fromkeys("abc", Pose2(5.0, 0.0, 0.0))
+    moved = replace(solution.evidence, transforms=transforms)
+    path = replace(solution.path, poses=np.add(solution.path.poses, (5.0, 0.0, 0.0)))
+    robot.live.take(replace(solution, walls=None, path=path, evidence=moved))
+    after = robot.live.locate("a", 1e3, drifted)
+    assert before is not None
+    assert after is not None
+    assert after.pose == Pose2(5.0, 0.0, 0.0).compose(drifted) != before.pose
     robot.live.forget()
     assert robot.live.locate("a", 1e3, drifted) is None
     # One that was computed meanwhile is in the frame of the old drive.
