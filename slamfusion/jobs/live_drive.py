@@ -3,9 +3,9 @@
 The method is that of ``run``: predictive consistency scores the paths, ``fuse_weighed_paths`` fuses
 them, and all scans are aligned along the result. The whole drive is solved from time to time, and
 in between its last ``WINDOW_S`` seconds, which continue the last solution (``Pace``). More often,
-since it takes a tenth of the time, inputs are judged by the scans that were located since. When the
-scans stop, the drive is solved with all hits that ``run`` scores, which gives the answer of
-``run``.
+since it takes a third of the time, the inputs are judged, by the scans that were located since.
+When the scans stop, the drive is solved with all hits that ``run`` scores, which gives the answer
+of ``run``.
 
 A solution takes at most ``MOST_SCANS`` scans and ``MOST_HITS`` hits, which bounds time and memory.
 Of more scans every second one is dropped, except those of the window.
@@ -18,7 +18,7 @@ import threading
 from bisect import bisect_left
 from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal, TypeAlias, get_args
 
 import numpy as np
@@ -58,6 +58,7 @@ from slamfusion.geometry import (
     with_levers,
     wrap_angles,
 )
+from slamfusion.grid import OccupancyGrid
 from slamfusion.io import LogScan
 from slamfusion.io.files import return_freed_memory
 from slamfusion.jobs.fused_path import fuse_weighed_paths
@@ -91,11 +92,11 @@ ADDED_SCANS = 5
 # A stamp that goes back by more, seconds, is that of a new drive.
 BACK_S = 1.0
 # After each solution: a rest of this many times its duration, and at least this number of seconds.
-# Together at most 15 % of a core: in between the pose goes by scans that match what was solved, so
+# Together at most 12 % of a core: in between the pose goes by scans that match what was solved, so
 # new places need new solutions.
 RESTS: Mapping[Depth, tuple[float, float]] = {
     "judged": (29.0, 2.0),
-    "window": (12.0, 2.0),
+    "window": (18.0, 2.0),
     "whole": (29.0, 10.0),
 }
 # Seconds that solutions may take before they rest: the first ones of a drive are short and urgent.
@@ -103,8 +104,8 @@ AHEAD_S = 1.0
 # Without a scan for so long, seconds, the drive is solved with all hits.
 STILL_S = 2.0
 
-# How much of a drive is solved: nothing, but the inputs are compared with the scans again; its last
-# seconds; all of it; or all of it with all hits.
+# What is done: the inputs are compared with the scans again; the last seconds of the drive are
+# solved; all of it is, and the inputs are compared; or so with all hits.
 Depth: TypeAlias = Literal["judged", "window", "whole", "final"]
 DEPTHS: tuple[Depth, ...] = get_args(Depth)
 
@@ -132,12 +133,41 @@ class Pace:
 
     def done(self, depth: Depth, began_s: float, done_s: float) -> None:
         """Take note of a solution, of what ``due`` said last."""
-        self._seen |= dict.fromkeys(DEPTHS[: DEPTHS.index(depth) + 1], self._scans)
+        done = DEPTHS[: DEPTHS.index(depth) + 1] if depth in {"whole", "final"} else (depth,)
+        self._seen |= dict.fromkeys(done, self._scans)
         kind: Depth = "whole" if depth == "final" else depth
         rest, least_s = RESTS[kind]
         rested_s = max(self._rested_s.get(kind, done_s), done_s) + rest * (done_s - began_s)
         self._rested_s[kind] = rested_s
         self._due_s[kind] = max(done_s + least_s, rested_s - rest * AHEAD_S)
+
+
+@dataclass(frozen=True, eq=False)
+class Judgement:
+    """What the scans say of the inputs.
+
+    Attributes:
+        doubts: bent inputs that the scans contradict, and why.
+        conditions: problems of the drive, in words.
+        gaps_m: by input, how far its last pose is from the fused path.
+        disagreement: mean square, (3, 3), of how far inputs end from the fused path.
+    """
+
+    doubts: Mapping[str, str] = field(default_factory=dict)
+    conditions: Mapping[Condition, str] = field(default_factory=dict)
+    gaps_m: Mapping[str, float] = field(default_factory=dict)
+    disagreement: F64 = field(default_factory=lambda: np.zeros((3, 3)))
+
+    @classmethod
+    def of(cls, evidence: PathEvidence) -> Judgement:
+        """Judge inputs by evidence for them and the fused path."""
+        contradicted = _contradicted(evidence)
+        return cls(
+            _doubts(evidence, contradicted),
+            drive_conditions(evidence, FUSED),
+            {n: path_gap_m(evidence, n, FUSED)[-1] for n in evidence.scores if n != FUSED},
+            _disagreement(evidence, contradicted),
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,7 +224,7 @@ class LiveDrive:
         self._drawer: MapDrawer | None = None
         # The stamp of the last scan that a solution of the whole drive has.
         self._whole_until_s = -np.inf
-        self._doubts: Mapping[str, str] = {}
+        self._judgement = Judgement()
         # The walls of the solution with those seen since; the last scans that have a pose, with
         # it, and the number of located ones; and by input the motion of its map frame into the
         # fused frame with the covariance of the pose that it gives.
@@ -393,8 +423,8 @@ class LiveDrive:
         """Solve the drive so far; None while there are too few scans or poses.
 
         Args:
-            depth: the first solution is of the whole drive in any case; ``judged`` returns the last
-                one with new doubts and conditions, and None if no scan was located since.
+            depth: the first solution is of the whole drive in any case; a window has the doubts and
+                conditions of before, and ``judged`` is the last solution with new ones.
             lattice: of the fused frame; None: the drive gives it.
             transforms: of the inputs that vote, map frame into the fused frame.
             resolution: metres per cell of the drawn map; None: no map.
@@ -403,8 +433,8 @@ class LiveDrive:
             generation = self._generation
             if self._solved != generation:
                 self._solved = generation
-                self._path, self._lattice, self._doubts = None, None, {}
-                self._drawer = None
+                self._path, self._lattice, self._drawer = None, None, None
+                self._judgement = Judgement()
             kept = list(self._scans)
             poses = {name: np.array(own) for name, own in self._poses.items() if own}
             heard_s, blind_s = np.unique(self._heard_s), np.array(self._blind_s)
@@ -412,48 +442,43 @@ class LiveDrive:
             return None
         scans = judged_hits(kept, beams.MOST_HITS if depth == "final" else MOST_HITS)
         paths = self._at_scans(scans, poses, heard_s)
-        last = self._path if depth == "window" else None
+        evidence, last = None, self._path if depth == "window" else None
         try:
             if depth == "judged":
-                return self._judged(scans, paths)
-            found = (
-                _solved(scans, paths, self._device)
-                if last is None
-                else self._continued(last, kept, paths)
-            )
-            if found is None:
+                return self._judged_again(scans, paths)
+            if last is None:
+                fused, evidence = _solved(scans, paths, self._device)
+            elif (window := self._continued(last, kept, paths)) is not None:
+                fused = window
+            else:
                 return None
-            fused, evidence = found
             path = self._place(fused, kept, paths, lattice, transforms or {}, is_whole=last is None)
-            if evidence is None or last is not None:
-                evidence = score_paths(scans, {**paths, FUSED: path}, self._device)
+            if last is None:
+                evidence = evidence or score_paths(scans, {**paths, FUSED: path}, self._device)
+                self._judgement = Judgement.of(evidence)
         except SlamFusionError:
             return None  # the paths have no scan in common yet
         if last is None:
             return_freed_memory()  # half of what all scans took lies in holes by now
-        contradicted = _contradicted(evidence)
-        self._doubts = _doubts(evidence, contradicted)
         own_lattice = self._lattice or Lattice(resolution or 0.05, Pose2())
-        drawn = None
-        if resolution is not None:
-            self._lattice = own_lattice
-            if self._drawer is None or self._drawer.lattice != own_lattice:
-                self._drawer = MapDrawer(self._device, own_lattice)
-            drawn = self._drawer.draw(kept, path, DRAWN)
-        nearest_first = sorted(paths, key=lambda name: path_gap_m(evidence, name, FUSED)[-1])
+        drawn = None if resolution is None else self._drawn(kept, path, own_lattice)
+        judgement = self._judgement
+        nearest_first = sorted(paths, key=lambda name: judgement.gaps_m.get(name, np.inf))
         corrections = {name: _correction(paths[name], path) for name in nearest_first}
         drift = DRIFT * _blind_m(path, blind_s)
-        covariance = _disagreement(evidence, contradicted) + _variances(drift, drift)
+        covariance = judgement.disagreement + _variances(drift, drift)
         return DriveSolution(
             path,
-            Evidence(corrections, self._doubts, own_lattice, drawn),
-            drive_conditions(evidence, FUSED),
+            Evidence(corrections, judgement.doubts, own_lattice, drawn),
+            judgement.conditions,
             depth == "final",
             WallMap.of(scans, path, covariance),
             generation,
         )
 
-    def _judged(self, scans: JudgedScans, paths: Mapping[str, Trajectory]) -> DriveSolution | None:
+    def _judged_again(
+        self, scans: JudgedScans, paths: Mapping[str, Trajectory]
+    ) -> DriveSolution | None:
         """Return the last solution with new doubts and conditions; its path goes on as located."""
         with self._lock:
             solution, located = self.solution, [*self._located]
@@ -461,22 +486,26 @@ class LiveDrive:
             return None
         path = solution.path
         rest = [(one.stamp_s, row) for one, row in located if one.stamp_s > path.stamps_s[-1]]
-        if not rest:
-            return None
-        stamps_s, rows = (np.array(column) for column in zip(*rest, strict=True))
-        stamps_s = np.concatenate((path.stamps_s, stamps_s))
-        longer = Trajectory(stamps_s, np.concatenate((path.poses, rows)), FUSED)
+        stamps_s = np.array([*path.stamps_s, *(stamp_s for stamp_s, _ in rest)])
+        longer = Trajectory(stamps_s, np.array([*path.poses, *(row for _, row in rest)]), FUSED)
         evidence = score_paths(scans, {**paths, FUSED: longer}, self._device)
-        self._doubts = _doubts(evidence, _contradicted(evidence))
+        self._judgement = judgement = Judgement.of(evidence)
         return replace(
             solution,
-            evidence=replace(solution.evidence, doubts=self._doubts),
-            conditions=drive_conditions(evidence, FUSED),
+            evidence=replace(solution.evidence, doubts=judgement.doubts),
+            conditions=judgement.conditions,
         )
+
+    def _drawn(self, kept: Sequence[ScanHits], path: Trajectory, lattice: Lattice) -> OccupancyGrid:
+        """Draw the map along a path; scans at the poses of the last map are not drawn again."""
+        self._lattice = lattice
+        if self._drawer is None or self._drawer.lattice != lattice:
+            self._drawer = MapDrawer(self._device, lattice)
+        return self._drawer.draw(kept, path, DRAWN)
 
     def _continued(
         self, path: Trajectory, kept: Sequence[ScanHits], paths: Mapping[str, Trajectory]
-    ) -> tuple[Trajectory, PathEvidence | None] | None:
+    ) -> Trajectory | None:
         """Solve the last seconds, and what was not solved yet, by the inputs that are right."""
         stamps_s = [one.stamp_s for one in kept[-LEAST_SCANS:]]
         solved_s = float(path.stamps_s[-1])
@@ -484,10 +513,11 @@ class LiveDrive:
         hits = [one for one in kept if one.stamp_s >= first_s]
         last = {name: _part(own, first_s - SAME_STAMP_S, np.inf) for name, own in paths.items()}
         last = {name: own for name, own in last.items() if len(own) >= CHUNKS}
-        right = {name: own for name, own in last.items() if name not in self._doubts}
+        doubts = self._judgement.doubts
+        right = {name: own for name, own in last.items() if name not in doubts}
         if len(hits) < CHUNKS or not last:
             return None
-        return _solved(judged_hits(hits, MOST_HITS), right or last, self._device)
+        return _solved(judged_hits(hits, MOST_HITS), right or last, self._device)[0]
 
     def _at_scans(
         self, judged: JudgedScans, poses: Mapping[str, F64], heard_s: F64

@@ -117,7 +117,7 @@ def test_bent_inputs_are_contradicted_and_the_path_is_right(device: ComputeDevic
     assert all("since stamp" in why for why in found.evidence.doubts.values())
 
 
-def test_an_input_that_bends_slowly_is_contradicted_by_each_kind_of_solution(
+def test_an_input_that_bends_slowly_is_contradicted_by_the_whole_drive_until_judged_again(
     device: ComputeDevice,
 ) -> None:
     robot = Robot(device, names="ab")
@@ -125,8 +125,8 @@ def test_an_input_that_bends_slowly_is_contradicted_by_each_kind_of_solution(
     robot.drive_to(60)
     assert not solved(robot).evidence.doubts
     robot.drive_to(SCANS)
-    assert set(solved(robot, "window").evidence.doubts) == {"b"}
     assert set(solved(robot, "whole").evidence.doubts) == {"b"}
+    assert set(solved(robot, "window").evidence.doubts) == {"b"}
 
 
 def test_of_inputs_that_all_leave_the_fused_path_the_best_and_its_equals_vote(
@@ -197,11 +197,11 @@ def test_the_last_seconds_are_solved_between_solutions_of_the_whole_drive() -> N
     assert last == "final"
     assert 61.0 < last_s < 66.0
     waits_s = np.diff([now_s for now_s, _ in seen])
-    assert waits_s.max() < 7.0
-    # Three seconds of 90 for the whole drive, half a second of 6.5 for the window, a tenth of 3 to
+    assert waits_s.max() < 10.0
+    # Three seconds of 90 for the whole drive, half a second of 9.5 for the window, a tenth of 3 to
     # judge the inputs, and one second ahead of each.
     assert depths.count("whole") == pytest.approx(60.0 / 90.0 + 1.0 / 3.0, abs=1.0)
-    assert depths.count("window") == pytest.approx(54.0 / 6.5 + 1.0 / 0.5, abs=3.0)
+    assert depths.count("window") == pytest.approx(54.0 / 9.5 + 1.0 / 0.5, abs=3.0)
     assert depths.count("judged") == pytest.approx(60.0 / 3.0 + 1.0 / 0.1, abs=6.0)
 
 
@@ -400,8 +400,7 @@ def test_a_bent_input_is_contradicted_between_solutions_by_the_located_poses(
     assert robot.live.solve("judged") is None
     solution = solved(robot, lattice=LATTICE, transforms=in_frame_of_a())
     robot.live.take(solution)
-    assert robot.live.solve("judged") is None  # nothing is located since
-    assert {*solution.supported} == {*"abc"}
+    assert {*solution.supported} == {*solved(robot, "judged").supported} == {*"abc"}
     while robot.step < 140:
         stamp_s, pose = robot.scans[robot.step].scan.stamp_s, robot.pose_of("a")
         robot.drive_to(robot.step + 1)
