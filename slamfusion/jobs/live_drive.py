@@ -41,7 +41,7 @@ from slamfusion.evidence.drawn_map import MapDrawer
 from slamfusion.evidence.fused_path import visits
 from slamfusion.evidence.parting import parted, path_gap_m, path_gaps
 from slamfusion.evidence.patches import LEAST_HITS, ScanMatch, WallMap
-from slamfusion.evidence.path_frames import moved_onto
+from slamfusion.evidence.path_frames import moved_onto, pose_distances
 from slamfusion.evidence.predictive import SURE, PathEvidence, score_paths
 from slamfusion.evidence.recommendation import LEAST_DIFFERENCE
 from slamfusion.fusion.live import Evidence
@@ -321,11 +321,12 @@ class LiveDrive:
     def locate(self, name: str, stamp_s: float, pose: Pose2) -> ScanMatch | None:
         """Return the fused-frame pose of a new pose in an input's map frame, or None.
 
-        The pose is carried over as the last one was; from there its scan is matched to the walls of
-        the solution and of later scans. If it comes before its scan, the newest scan before it is
-        matched, at the input's pose there. A scan that does not fit leaves the pose as it is. The
-        covariance is that of the match and of the walls; without a match it grows with the way
-        since the last one, and with how differently the other supported inputs moved since.
+        The pose is carried over as the last one was, or moves as another supported input or the
+        odometry did since, whichever is nearest to the others: any of them may have jumped. From
+        there its scan is matched to the walls of the solution and of later scans; if it does not
+        fit, from the others. If the pose comes before its scan, the newest scan before it is
+        matched. The covariance is that of the match and of the walls; without a match it grows with
+        the way since the last one, and with how differently all moved since.
         """
         earlier = self._newest_with_scan(name, stamp_s)
         match = None if earlier is None else self.locate(name, *earlier)
@@ -336,17 +337,23 @@ class LiveDrive:
             if last is None or solution is None:
                 return None
             motion, before = last
-            expected, way_m, apart = motion.compose(pose), 0.0, np.zeros((3, 3))
+            carried, way_m, gaps = row_of(motion.compose(pose)), 0.0, np.empty((0, 3))
             if self._located:
-                way_m = math.dist((expected.x, expected.y), self._located[-1][1][:2])
-                apart = self._apart(name, stamp_s, solution.supported)
+                way_m = math.dist(carried[:2], self._located[-1][1][:2])
+                gaps = self._gaps(name, stamp_s, scan, solution.supported)
+        starts = carried + np.concatenate((np.zeros((1, 3)), gaps))
+        off_m = pose_distances(starts[:, None], starts).sum(axis=1)
+        starts = starts[np.argsort(off_m, kind="stable")]
+        expected = pose_of(starts[0])
         covariance = before + _variances(STEP_M + DRIFT * way_m, STEP_RAD + DRIFT * way_m)
+        unsure = covariance + gaps.T @ gaps / max(1, len(gaps))
         if solution.walls is None or grown is None:
-            return ScanMatch(expected, covariance + apart, fits=False)
-        found = None if scan is None else grown.match([scan], row_of(expected)[None], covariance)
-        if scan is None or found is None or not found.fits:
+            return ScanMatch(expected, unsure, fits=False)
+        tries = (grown.match([scan], start[None], covariance) for start in starts if scan)
+        found = next((one for one in tries if one.fits), None)
+        if scan is None or found is None:
             fits = match is not None and match.fits
-            return ScanMatch(expected, covariance + grown.covariance + apart, fits)
+            return ScanMatch(expected, unsure + grown.covariance, fits)
         covariance = found.covariance + grown.covariance
         added: list[tuple[ScanHits, F64]] = []
         with self._lock:
@@ -379,21 +386,26 @@ class LiveDrive:
                     return row[0], Pose2(*row[1:])
         return None
 
-    def _apart(self, name: str, stamp_s: float, others: Iterable[str]) -> F64:
-        """Return the mean square, (3, 3), of how far others moved from an input since a match.
+    def _gaps(self, name: str, stamp_s: float, scan: ScanHits | None, others: Iterable[str]) -> F64:
+        """Return how far others and the odometry, (K, 3), moved from an input since a scan matched.
 
         At the newest stamp until ``stamp_s`` that both have, in the fused frame.
         """
         gaps, ours = np.empty((0, 3)), self._poses.get(name, [])
-        scan, row = self._located[-1]
-        for theirs in [self._poses.get(other, []) for other in others if other != name]:
-            until_s = min(stamp_s, theirs[-1][0]) if theirs else stamp_s
-            moves = [_motion(rows, scan.stamp_s, until_s) for rows in (ours, theirs)]
-            if all(move is not None for move in moves):
+        last, row = self._located[-1]
+        driven = [
+            [one.stamp_s, *row_of(one.odometry)]
+            for one in (last, scan)
+            if one is not None and one.odometry is not None
+        ]
+        for theirs in (driven, *(self._poses.get(other, []) for other in others if other != name)):
+            until_s = min(stamp_s, theirs[-1][0]) if theirs else last.stamp_s
+            moves = [_motion(rows, last.stamp_s, until_s) for rows in (ours, theirs)]
+            if until_s > last.stamp_s and all(move is not None for move in moves):
                 ends = compose_poses(row, np.array(moves))
                 gaps = np.concatenate((gaps, ends[1:] - ends[:1]))
         gaps[:, 2] = wrap_angles(gaps[:, 2])
-        return np.asarray(gaps.T @ gaps / max(1, len(gaps)))
+        return gaps
 
     def _thin_out(self) -> None:
         """Drop every second scan before the window, and the poses that belong to none."""
