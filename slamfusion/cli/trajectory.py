@@ -14,7 +14,7 @@ from slamfusion.cli.output import notice, print_facts, print_if_json
 from slamfusion.cli.paths import CASE_FILE, MAP
 from slamfusion.cli.tables import print_measures
 from slamfusion.config import RunConfig
-from slamfusion.errors import SlamFusionError, TrajectoryError
+from slamfusion.errors import SlamFusionError
 from slamfusion.jobs.cases import (
     CaseFile,
     known_files,
@@ -22,20 +22,16 @@ from slamfusion.jobs.cases import (
     place_files,
     shared_case_names,
 )
-from slamfusion.jobs.inputs import MOST_NAMED, load_maps
+from slamfusion.jobs.inputs import load_maps
 
 
 def paths_in(item: CaseFile) -> list[CaseFile]:
     """Return the .tum files of a folder; of a file, a bag or the folder of one log itself."""
-    from slamfusion.io.logs import log_sources  # noqa: PLC0415  (OpenCV loads slowly)
+    from slamfusion.io.logs import check_folder  # noqa: PLC0415  (OpenCV loads slowly)
 
     files = sorted(item.path.rglob("*.tum")) if item.path.is_dir() else []
-    if item.path.is_dir() and not files and not log_sources(item.path):
-        names = ", ".join(own.name for own in sorted(item.path.iterdir())[:MOST_NAMED])
-        raise TrajectoryError(
-            f"{item.path}: wanted a folder with .tum files, of a ROS 2 bag or of one log, found "
-            f"{names or 'an empty folder'}; name the file of a path"
-        )
+    if not files:
+        check_folder(item.path, "a folder with .tum files, ")
     return [replace(item, path=path) for path in files] or [item]
 
 

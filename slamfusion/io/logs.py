@@ -118,26 +118,27 @@ def _logs_in(folder: Path) -> list[Path]:
     return sorted(item for item in folder.iterdir() if _suffix(item) in _READERS)
 
 
-def _found_in(folder: Path) -> str:
-    """Return what a folder holds that is neither of a bag nor of one log, and what to do."""
-    if known := KINDS.get(folder.suffix):
-        return known
-    if logs := _logs_in(folder):
-        return f"several logs ({', '.join(item.name for item in logs[:_NAMED])}); name one"
-    for item in sorted(folder.iterdir()):
-        if known := KINDS.get(_suffix(item)):
-            return f"one with {item.name}, {known}"
-    return "no such file in it; name a log or a bag's folder"
+def check_folder(path: Path, others: str = "") -> None:
+    """Refuse a folder that is neither of a bag nor of one log; ``others``: what else it may be."""
+    where = _place(path)
+    if not where.is_dir() or is_bag_folder(where):
+        return
+    found = KINDS.get(where.suffix, "no such file in it; name a log or a bag's folder")
+    if logs := _logs_in(where):
+        found = f"several logs ({', '.join(item.name for item in logs[:_NAMED])}); name one"
+    elif where.suffix not in KINDS:
+        kinds = {item.name: KINDS.get(_suffix(item)) for item in sorted(where.iterdir())}
+        found = next((f"one with {name}, {kind}" for name, kind in kinds.items() if kind), found)
+    raise LogError(
+        f"{where}: wanted {others}the folder of a ROS 2 bag (metadata.yaml, .db3 or .mcap) or of "
+        f"one log, found {found}"
+    )
 
 
 def _reader(where: Path) -> Reader:
+    check_folder(where)
     if where.is_dir():
-        if is_bag_folder(where):
-            return _bag_log
-        raise LogError(
-            f"{where}: wanted the folder of a ROS 2 bag (metadata.yaml, .db3 or .mcap) or of one "
-            f"log, found {_found_in(where)}"
-        )
+        return _bag_log
     head = read_head(where)
     suffix, known = _suffix(where), _reader_by_content(head)
     if suffix not in _READERS:

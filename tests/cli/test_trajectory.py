@@ -72,7 +72,7 @@ def test_a_folder_without_a_path_is_named_with_what_it_holds(tmp_path: Path) -> 
     (tmp_path / "run").mkdir()
     (tmp_path / "run" / "map.yaml").touch()
     done = run("trajectory", tmp_path / "run", "--truth", truth)
-    assert_one_line_failure(done, "wanted a folder with .tum files", "found map.yaml; name")
+    assert_one_line_failure(done, "wanted a folder with .tum files", "found one with map.yaml")
 
 
 def test_a_mirrored_truth_is_named(tmp_path: Path) -> None:
