@@ -21,6 +21,7 @@ from slamfusion.cli.paths import FILE
 from slamfusion.config import FusionNodeConfig
 from slamfusion.errors import MapFileError, SlamFusionError
 from slamfusion.jobs import outputs
+from slamfusion.json_values import POSE_KEYS
 
 if TYPE_CHECKING:
     from slamfusion.jobs.records import ShowDocument
@@ -169,31 +170,25 @@ def _finished(title: str) -> Finished:
 
 
 def _read_record(path: Path, record: Mapping[str, Any]) -> Finished:
-    from slamfusion.web import scene  # noqa: PLC0415  (loads slowly)
+    from slamfusion.geometry import Pose2  # noqa: PLC0415  (loads slowly)
+    from slamfusion.web import scene  # noqa: PLC0415
 
     inputs, stem, is_run = record["inputs"], path.with_suffix(""), path.name == outputs.RUN_RECORD
     found = _finished(path.absolute().parent.name if is_run else path.stem)
     report = stem.with_name(outputs.REPORT)
     found.report = report if (report / "report.html").exists() else None
     layers = {item["name"]: scene.layer_name(item["name"]) for item in inputs}
-    entries = [
-        {
-            "name": layers[item["name"]],
-            "votes": item["accepted"],
-            "reason": item["reason"],
-            "score": item["score"],
-            # An input that was never aligned has no pose.
-            "transform": None
-            if item["dx_m"] is None
-            else [item["dx_m"], item["dy_m"], item["yaw_rad"]],
-        }
-        for item in inputs
-    ]
+    entries = []
+    for item in inputs:
+        # An input that was never aligned has no pose.
+        pose = None if item["dx_m"] is None else Pose2(*(item[key] for key in POSE_KEYS))
+        told = layers[item["name"]], item["reason"], item["score"], pose
+        entries.append(scene.layer_status(*told, votes=item["accepted"]))
     # The map that is drawn at the fused path is in the fused frame.
     drawn = stem.with_name(f"{outputs.DRAWN}.yaml")
     has_drawn = is_run and drawn.exists()
     if has_drawn:
-        entries.append(scene.unlaid(outputs.DRAWN, "drawn at the fused path"))
+        entries.append(scene.layer_status(outputs.DRAWN, "drawn at the fused path"))
     _put_status(found.scene, record, entries)
 
     def near(name: str) -> Path:
@@ -268,7 +263,7 @@ def _read_maps(folder: Path, files: Mapping[str, Path]) -> Finished:
     found = _finished(folder.absolute().name)
     inputs = [name for name in files if name not in {outputs.FUSED, outputs.AGREEMENT}]
     layers = {name: scene.layer_name(name) for name in inputs}
-    entries = [scene.unlaid(layers[name], "in its own frame") for name in inputs]
+    entries = [scene.layer_status(layers[name], "in its own frame") for name in inputs]
     words = f"{len(files)} maps; no record of their alignment"
     found.scene.put_status(entries, headline=words, level="plain", figures={})
     paths = {layers[name]: folder / f"{name}.tum" for name in inputs}
@@ -284,7 +279,7 @@ def _read_maps(folder: Path, files: Mapping[str, Path]) -> Finished:
 
 def _read_drive(folder: Path, drive: str) -> Finished:
     """Read the maps of one drive of an experiment, over the truth."""
-    from slamfusion.web.scene import TRUTH, unlaid  # noqa: PLC0415
+    from slamfusion.web.scene import TRUTH, layer_status  # noqa: PLC0415
 
     names = experiments.runs.kept_runs(folder)
     if not names:
@@ -299,7 +294,8 @@ def _read_drive(folder: Path, drive: str) -> Finished:
     truth, maps = experiments.runs.kept_maps(folder, chosen)
     found = _finished(chosen)
     found.also = [name for name in names if name != chosen]
-    entries = [unlaid(grid.name, "a true wall that it lacks is shown as unknown") for grid in maps]
+    what = "a true wall that it lacks is shown as unknown"
+    entries = [layer_status(grid.name, what) for grid in maps]
     words = f"{chosen}: {len(maps)} maps over the truth"
     figures = {"other drives, by --drive": ", ".join(found.also) or "none"}
     found.scene.put_status(entries, headline=words, level="plain", figures=figures)

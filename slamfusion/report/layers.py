@@ -10,10 +10,9 @@ from typing import Any
 
 from slamfusion.align.records import FusionResult
 from slamfusion.evaluation.map_error import MapError, maps_of_differences
-from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
 from slamfusion.trajectory import Trajectory
-from slamfusion.web.scene import AGREEMENT, FUSED, TRUTH, Kind, Scene, layer_name, unlaid
+from slamfusion.web.scene import AGREEMENT, FUSED, TRUTH, Kind, Scene, layer_name, layer_status
 
 # A browser keeps five bytes of each: six maps of 4000 x 4000 are drawn, and more are not.
 MOST_CELLS = 100_000_000
@@ -60,18 +59,10 @@ def fusion_layers(
         if not record.accepted and record.alignment is None:
             continue
         name, found = layer_name(record.name), record.alignment
-        place = Pose2() if found is None else found.transform
         maps[name] = (record.grid, "input", record.accepted)
-        is_reference = record.name == result.reference
-        inputs.append(
-            {
-                "name": name,
-                "votes": record.accepted,
-                "reason": "the reference" if is_reference else record.reason,
-                "score": None if found is None else found.score,
-                "transform": [place.x, place.y, place.yaw_rad],
-            }
-        )
+        reason = "the reference" if record.name == result.reference else record.reason
+        measured = () if found is None else (found.score, found.transform)
+        inputs.append(layer_status(name, reason, *measured, votes=record.accepted))
     scene.put_status(inputs, places=places)
     own = {name: name if name == FUSED else layer_name(name) for name in paths or {}}
     scene.put_paths({own[name]: path for name, path in (paths or {}).items()})
@@ -94,7 +85,7 @@ def error_layers(evaluations: Sequence[MapError]) -> Layers:
     truth, grids = maps_of_differences(differences, first.resolution, first.origin)
     names = [f"{grid.name} (map)" if grid.name == TRUTH else grid.name for grid in grids]
     scene = _scene(names)
-    scene.put_status([unlaid(name) for name in names], places=())
+    scene.put_status([layer_status(name) for name in names], places=())
     maps: dict[str, tuple[OccupancyGrid, Kind, bool]] = {TRUTH: (truth, "fused", True)}
     for name, grid in zip(names, grids, strict=True):
         maps[name] = (grid, "input", name == names[0])

@@ -15,7 +15,7 @@ from slamfusion.grid import OccupancyGrid
 from slamfusion.ros.base import Level, NodeBase, Status, shown
 from slamfusion.ros.fusion_inputs import PREFIX
 from slamfusion.ros.input_health import MapSource
-from slamfusion.web.scene import AGREEMENT, FUSED, Scene, layer_name
+from slamfusion.web.scene import AGREEMENT, FUSED, Scene, layer_name, layer_status
 
 LEVELS = {Level.OK: "good", Level.WARN: "warn", Level.ERROR: "bad", Level.STALE: "warn"}
 # A token for the page that outlives the node.
@@ -117,12 +117,8 @@ class LivePage:
 
 
 def _shown(name: str, line: Status, state: FusionState) -> dict[str, object]:
-    record = state.inputs.get(name)
-    transform = None if record is None else record.transform
-    return {
-        "name": layer_name(name),
-        "votes": record is not None and record.accepted,
-        "reason": line.message,
-        "score": None if record is None else round(record.fit.score, 4),
-        "transform": None if transform is None else [transform.x, transform.y, transform.yaw_rad],
-    }
+    told = layer_name(name), line.message
+    if (record := state.inputs.get(name)) is None:
+        return layer_status(*told, votes=False, place=None)
+    score = round(record.fit.score, 4)
+    return layer_status(*told, score, record.transform, votes=record.accepted)

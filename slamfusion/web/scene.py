@@ -31,7 +31,7 @@ from typing import Any, Literal
 import numpy as np
 
 from slamfusion.geometry import I8, Pose2
-from slamfusion.grid import UNKNOWN, OccupancyGrid
+from slamfusion.grid import IDENTITY, UNKNOWN, OccupancyGrid
 from slamfusion.json_values import plain
 from slamfusion.palette import AGREED_WALL_RGB, DISAGREEMENT_RGB, FREE_RGB, colours_of
 from slamfusion.trajectory import Trajectory
@@ -66,10 +66,17 @@ def layer_name(name: str) -> str:
     return f"{name} (input)" if name in {FUSED, AGREEMENT} else name
 
 
-def unlaid(name: str, reason: str = "") -> dict[str, Any]:
-    """Return what ``put_status`` takes of a layer without a vote, in its own frame."""
-    place = [0.0, 0.0, 0.0]
-    return {"name": name, "votes": None, "reason": reason, "score": None, "transform": place}
+def layer_status(
+    name: str,
+    reason: str = "",
+    score: float | None = None,
+    place: Pose2 | None = IDENTITY,
+    *,
+    votes: bool | None = None,
+) -> dict[str, Any]:
+    """Return what ``put_status`` takes of a layer; ``place``: its pose, None without one."""
+    pose = None if place is None else [place.x, place.y, place.yaw_rad]
+    return {"name": name, "votes": votes, "reason": reason, "score": score, "transform": pose}
 
 
 def to_text(kind: str, content: Mapping[str, Any]) -> str:
@@ -194,8 +201,8 @@ class Scene:
         """Take the state of the inputs; live, a gained or lost vote becomes an event.
 
         Args:
-            inputs: of each ``name``, ``votes`` (None: unknown), ``reason``, ``transform`` (x, y in
-                metres and yaw in radians of its map frame in the fused one, or None), ``score``.
+            inputs: of each its ``layer_status``; the transform is of its map frame in the fused
+                one, x and y in metres and yaw in radians; no vote is an unknown one.
             figures: whatever else the page shows.
         """
         for item in inputs:
