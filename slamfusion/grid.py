@@ -257,12 +257,9 @@ class OccupancyGrid:
         """Return the same grid under another name."""
         return replace(self, name=name)
 
-    def known_box(self) -> CellBox | None:
-        """Return the smallest box with all known cells, or None."""
-        return self._known_box
-
     @cached_property
-    def _known_box(self) -> CellBox | None:
+    def known_box(self) -> CellBox | None:
+        """The smallest box with all known cells, or None."""
         return known_box(self.cells)
 
     def crop(self, box: CellBox) -> OccupancyGrid:

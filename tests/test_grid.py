@@ -57,7 +57,7 @@ def test_the_cell_size_is_positive_and_finite(resolution: float) -> None:
 
 
 def test_the_known_box_is_the_smallest_around_known_cells() -> None:
-    box = grid_of().known_box()
+    box = grid_of().known_box
     assert box == CellBox(1, 1, 3, 3)
     assert (box.height, box.width, box.area) == (2, 2, 4)
     assert known_box(np.full((2, 3), -1, dtype=np.int8)) is None

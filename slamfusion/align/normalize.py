@@ -129,7 +129,7 @@ def coarsening(
     coarser copy costs less than one fused cell of accuracy. ``is_sparing`` limits the memory of all
     copies together.
     """
-    boxes = [(box, grid.resolution) for grid in grids if (box := grid.known_box()) is not None]
+    boxes = [(box, grid.resolution) for grid in grids if (box := grid.known_box) is not None]
     sides = [max(box.height, box.width) * size for box, size in boxes]
     factor = max(1, math.ceil(max(sides, default=0.0) / resolution / ALIGNED_CELLS))
     if is_sparing:
@@ -141,7 +141,7 @@ def coarsening(
 
 def _cells_at(grid: OccupancyGrid, resolution: float) -> int:
     """Return how many cells the known box of a grid has at another resolution."""
-    box = grid.known_box()
+    box = grid.known_box
     return 0 if box is None else int(box.area * (grid.resolution / resolution) ** 2)
 
 
@@ -153,7 +153,7 @@ def normalize_grid(
     Raises:
         GridError: no cell of the grid is known under these thresholds.
     """
-    name, shape, box = grid.name, grid.cells.shape, grid.known_box()
+    name, shape, box = grid.name, grid.cells.shape, grid.known_box
     if box is not None:
         # Without unknown margins, so that a large canvas costs nothing.
         grid = grid.crop(box)

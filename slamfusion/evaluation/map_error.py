@@ -156,7 +156,7 @@ def compare_to_truth(
     config = config or RunConfig()
     tolerance_m = config.evaluate.tolerance_m
     grid, truth = (item.classified(config.fusion.normalize) for item in (grid, truth))
-    box = truth.known_box()
+    box = truth.known_box
     if box is None:
         raise GridError(
             f"{truth.name}: the truth has no cell that is surely free or occupied; "

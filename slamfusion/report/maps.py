@@ -208,7 +208,7 @@ def pair_overlay(
     colours: Mapping[str, palette.Rgb],
 ) -> Picture | None:
     """Overlay two classified maps; None if they are too far apart or one is all unknown."""
-    own, other = reference.known_box(), moving.known_box()
+    own, other = reference.known_box, moving.known_box
     if own is None or other is None:
         return None
     corners = [(col, row) for row in (other.row0, other.row1) for col in (other.col0, other.col1)]

@@ -65,7 +65,7 @@ def assert_triangles_close(grids: tuple[OccupancyGrid, ...], pairs: list[Alignme
     motions = {(p.moving, p.reference): p.transform for p in pairs}
     motions |= {(p.reference, p.moving): p.transform.inverse() for p in pairs}
     for a, b, c in itertools.combinations(grids, 3):
-        box = a.known_box()
+        box = a.known_box
         assert box is not None
         middle = ((box.col0 + box.col1) / 2, (box.row0 + box.row1) / 2)
         centre = a.origin.transform(np.array(middle) * a.resolution)

@@ -78,7 +78,7 @@ def truth_error(grid: OccupancyGrid, truth: OccupancyGrid, pose: Pose2) -> float
 
 def assert_same_world(a: OccupancyGrid, b: OccupancyGrid) -> None:
     """Both grids have the same known cells, at the same places in the world."""
-    first, second = a.known_box(), b.known_box()
+    first, second = a.known_box, b.known_box
     assert first is not None
     assert second is not None
     one, other = a.crop(first), b.crop(second)
@@ -241,7 +241,7 @@ def test_nothing_that_one_map_knows_is_lost_by_default(
 def test_cropping_unknown_margins_moves_no_fused_cell(device: ComputeDevice, which: int) -> None:
     grids = [padded(grid, 9, 4, 13, 22) for grid in three()[0]]
     config = replace(QUICK, reference="a")
-    box = grids[which].known_box()
+    box = grids[which].known_box
     assert box is not None
     cropped = [g.crop(box) if k == which else g for k, g in enumerate(grids)]
     wanted, result = (fuse_grids(some, config, device) for some in (grids, cropped))

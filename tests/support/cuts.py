@@ -58,7 +58,7 @@ def halves_of(low: int, high: int, overlap: float) -> Halves:
 def cropped(grid: OccupancyGrid) -> OccupancyGrid:
     """Return the grid with cells -1, 0 and 100 alone, cropped to what is known."""
     whole = trinary(grid)
-    box = whole.known_box()
+    box = whole.known_box
     return whole if box is None else whole.crop(box)
 
 

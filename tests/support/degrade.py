@@ -78,7 +78,7 @@ def degrade_map(
         GridError: the truth has no known cell.
     """
     truth = trinary(truth_grid)
-    box = truth.known_box()
+    box = truth.known_box
     if box is None:
         raise GridError(f"{truth.name}: every cell is unknown; nothing to degrade")
     truth = _cut(truth, rng, degradation.crop_share)
@@ -301,7 +301,7 @@ def _some(where: npt.NDArray[np.bool_], rng: np.random.Generator, share: float) 
 
 def _with_margin(grid: OccupancyGrid, rng: np.random.Generator, share: float) -> OccupancyGrid:
     """Crop to the known cells, then add unknown ones until they are ``share`` of the area."""
-    box = grid.known_box()
+    box = grid.known_box
     if box is None:
         return grid
     growth = 1.0 / math.sqrt(1.0 - share)

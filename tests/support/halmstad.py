@@ -41,7 +41,7 @@ def annotated() -> dict[tuple[str, str], tuple[float, Pose2]]:
 def annotated_error(moving: OccupancyGrid, alignment: Alignment) -> tuple[float, float]:
     """Return how far the moving map's centre lands from the annotated place: pixels, degrees."""
     scale, pose = annotated()[alignment.moving, alignment.reference]
-    box = moving.known_box()
+    box = moving.known_box
     assert box is not None
     centre = ((box.col0 + box.col1) / 2, (box.row0 + box.row1) / 2)
     wanted = pose.transform((scale * centre[0], scale * centre[1]))

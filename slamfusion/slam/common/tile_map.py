@@ -46,7 +46,7 @@ def known_part(percent: I8, anchor: F64, first: Array, cell: float, name: str) -
     Its first cell is ``first`` (2,) from the anchor (2,), metres; ``cell`` is in metres.
     """
     grid = OccupancyGrid(percent, cell, Pose2(*(anchor + first * cell).tolist()), name)
-    box = grid.known_box()
+    box = grid.known_box
     return grid if box is None else grid.crop(box)
 
 
