@@ -109,7 +109,11 @@ def command(
     rows = [row for case, own in found.items() for row in own.rows(case, placed)]
     first = found[cases[0]]
     document = (
-        jobs.judge.judgements_document(found, rows)
+        jobs.judge.JudgementsDocument(
+            [jobs.judge.CaseJudgement(own, case) for case, own in found.items()],
+            jobs.results.summaries(rows),
+            first.circumstances,
+        )
         if several
         else jobs.judge.JudgeDocument(first, first.circumstances)
     )

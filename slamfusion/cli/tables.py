@@ -83,12 +83,6 @@ def _transform_words(pair: Alignment) -> str:
     )
 
 
-def tell_left_out(result: Fusion) -> None:
-    """Name on stderr the inputs without a vote, bent ones, and what the map was cut off from."""
-    for sentence in jobs.fuse_documents.left_out_sentences(result):
-        notice(sentence)
-
-
 def print_pairs(pairs: Sequence[Alignment], device: str) -> None:
     """Print the pairs of maps of which nothing was fused."""
     print_table(

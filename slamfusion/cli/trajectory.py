@@ -23,6 +23,7 @@ from slamfusion.jobs.cases import (
     shared_case_names,
 )
 from slamfusion.jobs.inputs import load_maps
+from slamfusion.jobs.records import Settings
 
 
 def paths_in(item: CaseFile) -> list[CaseFile]:
@@ -116,7 +117,14 @@ def command(
     if report_dir is not None:
         page = jobs.trajectory.write_trajectories(found, report_dir, config)
     rows = [row for own in found for row in own.rows()]
-    document = jobs.trajectory.trajectory_document(found, not_measured, config, several=not is_one)
+    settings = Settings(config)
+    document = (
+        jobs.trajectory.TrajectoryDocument(found[0], settings)
+        if is_one
+        else jobs.trajectory.TrajectoriesDocument(
+            found, jobs.results.summaries(rows), not_measured, settings
+        )
+    )
     inputs = [own.placed for own in found]
     results.save_results(document, rows, lambda: measured_inputs(inputs, known))
     if not print_if_json(document):

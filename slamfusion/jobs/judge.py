@@ -204,17 +204,6 @@ def judge_paths(
     )
 
 
-def judgements_document(logs: Mapping[str, JudgedPaths], rows: Sequence[Row]) -> JudgementsDocument:
-    """Return what ``slamfusion judge`` prints of several logs as JSON."""
-    from slamfusion.jobs.results import summaries  # noqa: PLC0415  (pandas is an extra)
-
-    return JudgementsDocument(
-        [CaseJudgement(found, case) for case, found in logs.items()],
-        summaries(rows),
-        next(iter(logs.values())).circumstances,
-    )
-
-
 def write_fused_path(found: JudgedPaths) -> None:
     """Write the fused path as TUM, if there is one."""
     fused = found.fused_path

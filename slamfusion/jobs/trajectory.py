@@ -112,23 +112,6 @@ def measure_trajectories(
     return found, not_measured
 
 
-def trajectory_document(
-    found: Sequence[MeasuredTrajectory],
-    not_measured: Sequence[str],
-    config: RunConfig,
-    *,
-    several: bool,
-) -> TrajectoryDocument | TrajectoriesDocument:
-    """Return what ``slamfusion trajectory`` prints as JSON; of several paths with their means."""
-    if not several:
-        return TrajectoryDocument(found[0], Settings(config))
-    from slamfusion.jobs.results import summaries  # noqa: PLC0415  (pandas is an extra)
-
-    return TrajectoriesDocument(
-        found, summaries(row for own in found for row in own.rows()), not_measured, Settings(config)
-    )
-
-
 def write_trajectories(
     found: Sequence[MeasuredTrajectory], directory: str | Path, config: RunConfig | None = None
 ) -> Path:
