@@ -91,7 +91,9 @@ def clock_offset_s(path: Trajectory, reference: Trajectory) -> float:
     lag_s = STEP_S * (best - (len(own) - 1))
     rough_s = float(reference.stamps_s[0] - path.stamps_s[0]) + lag_s
     found = scipy.optimize.minimize_scalar(
-        lambda change_s: _window_error(path, reference, rough_s + change_s),
+        lambda change_s: float(
+            np.mean(np.subtract(*_windows(path, reference, rough_s + change_s)) ** 2)
+        ),
         bounds=(-2.0 * STEP_S, 2.0 * STEP_S),
         method="bounded",
         options={"xatol": 1e-4},
@@ -127,12 +129,6 @@ def _windows(path: Trajectory, reference: Trajectory, offset_s: float) -> tuple[
     end_s = min(path.stamps_s[-1], reference.stamps_s[-1] - offset_s) - WINDOW_S
     times_s = np.arange(begin_s, max(end_s, begin_s + STEP_S), STEP_S)
     return _motion(path, times_s, WINDOW_S), _motion(reference, times_s + offset_s, WINDOW_S)
-
-
-def _window_error(path: Trajectory, reference: Trajectory, offset_s: float) -> float:
-    """Return the mean squared difference of the motions in windows at an offset."""
-    own, other = _windows(path, reference, offset_s)
-    return float(((own - other) ** 2).mean())
 
 
 def _warn_of_mirror(path: Trajectory, truth: Trajectory) -> None:
