@@ -9,15 +9,17 @@ from bisect import bisect_left
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from slamfusion.errors import SlamFusionError
-from slamfusion.geometry import F64, Pose2
+from slamfusion.geometry import F32, F64, Pose2
 from slamfusion.grid import IDENTITY
 from slamfusion.io.log import FARTHEST_M, REACH_S
 from slamfusion.io.stamps import Passed, StampGate
+from slamfusion.scan import LaserScan
 
 # x, y, z in metres, then the unit quaternion x, y, z, w.
 Row = tuple[float, float, float, float, float, float, float]
@@ -193,6 +195,22 @@ class Mount:
         (ahead_x, _, _, x), (ahead_y, _, _, y), (_, _, upward, _), _ = matrix.tolist()
         tilt_rad = math.acos(min(abs(upward), 1.0))
         return cls(Pose2(x, y, math.atan2(ahead_y, ahead_x)), upward < 0.0, tilt_rad)
+
+    def scan(
+        self, message: Any, stamp_s: float, ranges: F32, limit_m: float = math.inf
+    ) -> LaserScan:
+        """Return a sensor_msgs/LaserScan, its angles counter-clockwise seen from above."""
+        turn = -1.0 if self.is_flipped else 1.0
+        return LaserScan(
+            stamp_s=stamp_s,
+            ranges=ranges,
+            angle_min_rad=turn * float(message.angle_min),
+            angle_increment_rad=turn * float(message.angle_increment),
+            range_min_m=max(0.0, float(message.range_min)),  # 0 also for NaN
+            range_max_m=min(float(message.range_max), limit_m),
+            mount=self.pose,
+            time_increment_s=float(message.time_increment),
+        )
 
 
 def plan_poses(matrices: F64) -> F64:

@@ -23,7 +23,7 @@ from slamfusion import grid as grids
 from slamfusion import scan as scans
 from slamfusion.errors import GridError, ScanError, TrajectoryError
 from slamfusion.geometry import F64, Pose2, quaternion_yaw_rad, row_of
-from slamfusion.grid import IDENTITY
+from slamfusion.io.transforms import Mount
 from slamfusion.trajectory import Trajectory
 
 try:
@@ -322,33 +322,15 @@ def updated_map(message: OccupancyGrid, update: Any) -> OccupancyGrid:
     return OccupancyGrid(header=header, info=info, data=data)
 
 
-def scan_from_message(
-    message: Any, mount: Pose2 = IDENTITY, *, is_flipped: bool = False
-) -> scans.LaserScan:
+def scan_from_message(message: Any, mount: Mount) -> scans.LaserScan:
     """Return a sensor_msgs/LaserScan as a scan; readings are unchanged (REP-117).
-
-    Args:
-        mount: pose of the laser in the robot's base frame; metres, radians.
-        is_flipped: the laser is upside down, so its beams turn the other way.
 
     Raises:
         ScanError: no beam, or invalid angles or limits.
     """
-    turn = -1.0 if is_flipped else 1.0
-    low, high = float(message.range_min), float(message.range_max)
-    if not low >= 0.0:  # NaN too
-        low = 0.0
     try:
-        return scans.LaserScan(
-            stamp_s=stamp_s(message),
-            ranges=np.array(message.ranges, dtype=np.float32),
-            angle_min_rad=turn * float(message.angle_min),
-            angle_increment_rad=turn * float(message.angle_increment),
-            range_min_m=low,
-            range_max_m=high,
-            mount=mount,
-            time_increment_s=float(message.time_increment),
-        )
+        ranges = np.array(message.ranges, dtype=np.float32)
+        return mount.scan(message, stamp_s(message), ranges)
     except ScanError as error:
         text = f"scan at {stamp_s(message):.3f} s in {message.header.frame_id!r}: {error}"
         raise ScanError(text) from None

@@ -127,7 +127,7 @@ class ScanInput:
         """Convert a scan; LeftOutError, reported, if it is invalid or its mount is unknown."""
         mount = self._mount(scan)
         try:
-            read = messages.scan_from_message(scan.message, mount.pose, is_flipped=mount.is_flipped)
+            read = messages.scan_from_message(scan.message, mount)
         except ScanError as error:
             self._base.diagnostics.note("scan", str(error))
             raise LeftOutError("angles or ranges that cannot be a scan") from error

@@ -57,7 +57,7 @@ def as_sent(items: Iterable[LogScan]) -> Iterator[LogScan]:
             pairs.append((item.odometry, "odom", "base"))
         store.add([messages.transform_to_message(*pair, stamp) for pair in pairs])
         time_s = messages.stamp_s(stamp)
-        scan = messages.scan_from_message(message, store.lookup("base", "laser", time_s))
+        scan = messages.scan_from_message(message, store.mount("base", "laser", time_s))
         known = item.odometry is not None
         odometry = store.lookup("odom", "base", time_s) if known else None
         yield LogScan(scan, odometry, item.line)

@@ -17,6 +17,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from slamfusion.errors import GridError, ScanError, TrajectoryError
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
+from slamfusion.io.transforms import Mount
 from slamfusion.ros import messages
 from slamfusion.scan import LaserScan
 from slamfusion.trajectory import Trajectory
@@ -127,7 +128,7 @@ def test_a_scan_comes_back_as_it_was():
     message = messages.scan_to_message(SCAN, "laser")
     assert message.header.frame_id == "laser"
     assert message.angle_max == -0.5
-    back = messages.scan_from_message(message, SCAN.mount)
+    back = messages.scan_from_message(message, Mount(SCAN.mount))
     assert np.array_equal(back.ranges, SCAN.ranges, equal_nan=True)
     assert (back.stamp_s, back.angle_min_rad, back.angle_increment_rad) == (12.25, -1.5, 0.25)
     assert (back.range_min_m, back.range_max_m, back.mount) == (0.125, 8.0, SCAN.mount)
@@ -135,7 +136,7 @@ def test_a_scan_comes_back_as_it_was():
 
 def test_a_laser_upside_down_turns_the_other_way():
     message = messages.scan_to_message(SCAN, "laser")
-    back = messages.scan_from_message(message, is_flipped=True)
+    back = messages.scan_from_message(message, Mount(is_flipped=True))
     assert (back.angle_min_rad, back.angle_increment_rad) == (1.5, -0.25)
     assert back.points()[0] == pytest.approx([math.cos(1.5), math.sin(1.5)], abs=1e-6)
 
@@ -153,7 +154,7 @@ def test_what_is_no_scan_is_refused_by_time_and_frame(name: str, value: Any, wor
     message = messages.scan_to_message(SCAN, "laser")
     setattr(message, name, value)
     with pytest.raises(ScanError, match=rf"scan at 12\.250 s in 'laser': .*{words}"):
-        messages.scan_from_message(message)
+        messages.scan_from_message(message, Mount())
 
 
 @pytest.mark.parametrize("frame", ["", "m", "a_map", "robot1/graph_map"])

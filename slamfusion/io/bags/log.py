@@ -168,22 +168,10 @@ class BagLog(ScanLog):
         return first
 
     def _scan(self, message: Any, time_s: float) -> LaserScan:
-        """Return the sweep of a message, its angles counter-clockwise seen from above."""
         mount = self._mount(message.header.frame_id.lstrip("/"), time_s)
-        turn = -1.0 if mount.is_flipped else 1.0
-        limit_m = float(message.range_max)
-        if self._config.no_return_m is not None:
-            limit_m = min(limit_m, self._config.no_return_m)
-        return LaserScan(
-            stamp_s=time_s,
-            ranges=first_echoes(message),
-            angle_min_rad=turn * float(message.angle_min),
-            angle_increment_rad=turn * float(message.angle_increment),
-            range_min_m=max(float(message.range_min), 0.0),
-            range_max_m=limit_m,
-            mount=mount.pose,
-            time_increment_s=float(message.time_increment),
-        )
+        given_m = self._config.no_return_m
+        limit_m = math.inf if given_m is None else given_m
+        return mount.scan(message, time_s, first_echoes(message), limit_m)
 
     def _mount(self, frame: str, time_s: float) -> Mount:
         """Return the mount of a laser frame; cached if static."""
