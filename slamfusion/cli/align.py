@@ -136,4 +136,4 @@ def _print_alignment(found: Alignment, device: str, pixel_m: float | None) -> No
             rows.append(["runner-up", f"{number(rival.ratio)} of the score at {place}"])
         rows += [["time", f"{number(found.time_s)} s"], ["device", device]]
     title = f"{found.moving} in the frame of {found.reference}"
-    output.print_table((" ", " "), rows, title=title, header=False)
+    output.Table((" ", " "), rows, title=title, has_head=False).print()

@@ -9,7 +9,7 @@ import click
 from slamfusion import evaluation, jobs
 from slamfusion.cli import options
 from slamfusion.cli.help import Command
-from slamfusion.cli.output import NOTHING, notice, print_facts, print_if_json, print_table
+from slamfusion.cli.output import NOTHING, Table, notice, print_facts, print_if_json
 from slamfusion.cli.paths import FILE
 from slamfusion.cli.results import print_by_case, table_option
 from slamfusion.config import PICTURE_FORMS
@@ -104,7 +104,7 @@ def _print_figures(found: jobs.compare.ComparedResults) -> None:
     same = {sentence.partition(": ")[2] for sentence in sentences} if has_names else set()
     title = "; ".join((title, *(same if len(same) == 1 else sentences)))
     columns = (*columns, "std first", "std second", tests[0])
-    print_table(columns, rows, title=title, names=1 + len(names))
+    Table(columns, rows, title=title, names=1 + len(names)).print()
 
 
 def _numbers(*values: float | None) -> list[str]:

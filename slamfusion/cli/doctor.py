@@ -10,7 +10,7 @@ import click
 from slamfusion import jobs
 from slamfusion.cli import options
 from slamfusion.cli.help import Command
-from slamfusion.cli.output import print_if_json, print_table
+from slamfusion.cli.output import Table, print_if_json
 from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
 
@@ -28,10 +28,10 @@ def command(config: RunConfig) -> None:
     """
     found = jobs.doctor.check_installation(config)
     if not print_if_json(found):
-        print_table(
+        Table(
             ("package ", "version "),
             [[name, version or "absent"] for name, version in found.versions.items()],
-        )
+        ).print()
         print_devices(found.devices)
         if found.pocl is not None:
             print(f"PoCL: {found.pocl.detail}")
@@ -39,15 +39,15 @@ def command(config: RunConfig) -> None:
         failed = [test for test in tests if not test.passed]
         if failed:
             where = found.device or "no device"
-            print_table(
+            Table(
                 ("failed self test ",),
                 [[test.name] for test in failed],
                 notes=[test.detail for test in failed],
                 title=f"{len(failed)} of {len(tests)} self tests failed on {where}",
-            )
+            ).print()
         else:
             print(f"kernels: all {len(tests)} self tests passed on {found.device}")
-        print_table(("for ", "install "), [list(item) for item in found.install.items()])
+        Table(("for ", "install "), [list(item) for item in found.install.items()]).print()
     if found.problems:
         raise SlamFusionError("; ".join(found.problems))
 
@@ -85,4 +85,4 @@ def print_devices(devices: Sequence[DeviceInfo]) -> None:
         for device in devices
     ]
     columns = ("index", "name ", "platform ", "type ", "units", "memory [MB]", "usable ")
-    print_table(columns, rows, notes=[device.note for device in devices])
+    Table(columns, rows, notes=[device.note for device in devices]).print()

@@ -123,10 +123,10 @@ def _print_distances(comparison: DistanceComparison) -> None:
         for row in comparison.rows
     ]
     columns = ("distance ", "measured [m]", "map [m]", "error [m]", "error [%]")
-    output.print_table(
+    output.Table(
         columns,
         rows,
         notes=[row.reason for row in comparison.rows],
         title=f"Measured distances in {comparison.name}",
-    )
+    ).print()
     print(f"mean absolute error: {number(comparison.mean_absolute_error_m)} m\n")

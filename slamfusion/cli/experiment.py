@@ -13,7 +13,7 @@ import click
 from slamfusion import experiments
 from slamfusion.cli import options, results
 from slamfusion.cli.help import Group
-from slamfusion.cli.output import notice, print_if_json, print_table, progress_bar
+from slamfusion.cli.output import Table, notice, print_if_json, progress_bar
 from slamfusion.cli.paths import CASE_MAP, FILE, InputPath
 from slamfusion.config import PICTURE_FORMS, RunConfig
 from slamfusion.errors import ConfigError, SlamFusionError
@@ -62,7 +62,7 @@ def _experiment(
             if not print_if_json(document):
                 print(found.title)
                 for title, heads, rows in found.text_tables(details=False):
-                    print_table([f"{heads[0]} ", *heads[1:]], rows, title=title)
+                    Table([f"{heads[0]} ", *heads[1:]], rows, title=title).print()
                 print(*document.sentences, *files, sep="\n")
             if found.failure:
                 raise SlamFusionError(found.failure)

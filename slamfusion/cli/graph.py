@@ -11,7 +11,7 @@ import click
 from slamfusion import jobs
 from slamfusion.cli import options
 from slamfusion.cli.help import Group
-from slamfusion.cli.output import notice, print_facts, print_if_json, print_table
+from slamfusion.cli.output import Table, notice, print_facts, print_if_json
 from slamfusion.cli.paths import FILE
 from slamfusion.config import RunConfig
 from slamfusion.jobs.records import number
@@ -80,7 +80,7 @@ def optimize_command(
         ["iterations", str(found.iterations) + ("" if found.is_converged else ", not converged")],
         ["time", f"{number(found.time_s)} s"],
     ]
-    print_table((" ", " "), rows, title=path.name, header=False)
+    Table((" ", " "), rows, title=path.name, has_head=False).print()
     print_facts(("graph", out), ("poses", tum_path))
 
 

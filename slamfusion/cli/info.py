@@ -11,7 +11,7 @@ import click
 from slamfusion import jobs
 from slamfusion.cli import options
 from slamfusion.cli.help import Command
-from slamfusion.cli.output import print_if_json, print_table, progress_bar, say
+from slamfusion.cli.output import Table, print_if_json, progress_bar, say
 from slamfusion.cli.paths import FILE
 from slamfusion.config import RunConfig
 
@@ -40,7 +40,7 @@ def command(path: Path, resolution: float | None, config: RunConfig) -> None:
         return
     (record,) = (item for item in (found.log, found.map, found.run) if item is not None)
     rows = [_row(field.name, getattr(record, field.name)) for field in fields(record)]
-    print_table((" ", " "), [row for row in rows if row[1]], title=str(path), header=False)
+    Table((" ", " "), [row for row in rows if row[1]], title=str(path), has_head=False).print()
     for sentence in found.remarks:
         say(f"- {sentence}", indent=2)
 

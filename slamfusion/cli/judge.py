@@ -154,9 +154,9 @@ def _print_one(found: jobs.judge.JudgedPaths) -> None:
             for row, path in zip(rows, answer.paths, strict=True):
                 error_m, rank = errors.get(path.name, (None, None))
                 row += [number(error_m, 4), number(rank, 0)]
-    output.print_table(
+    output.Table(
         columns, rows, title=f"Paths of {found.files.log}, the recommended one first"
-    )
+    ).print()
     if found.fused_path is not None:
         output.print_facts(("fused path", found.fused_path.file))
     print_recommendation(answer)

@@ -13,7 +13,7 @@ import click
 from slamfusion.cli import options
 from slamfusion.cli.help import Choice, Group, Number
 from slamfusion.cli.node import import_rclpy
-from slamfusion.cli.output import one_line, print_if_json, print_table, settings
+from slamfusion.cli.output import Table, one_line, print_if_json, settings
 from slamfusion.errors import SlamFusionError
 
 if TYPE_CHECKING:
@@ -72,12 +72,12 @@ def status_command(client: Any) -> None:
         ]
         for line in inputs
     ]
-    print_table(
+    Table(
         ("input ", "votes ", *SHOWN),
         rows,
         notes=[line["message"] for line in inputs],
         title=f"{found['node']}: {found['fusion']['message']}",
-    )
+    ).print()
     figures = found["fusion"]["figures"]
     print(", ".join(f"{key} {figures[key]}" for key in ("maps published", "map [cells]")))
 

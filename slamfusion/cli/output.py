@@ -125,27 +125,6 @@ def map_server_facts(map_file: Path) -> list[tuple[str, object]]:
     ]
 
 
-def print_table(
-    columns: Sequence[str],
-    rows: Sequence[Sequence[str]],
-    *,
-    notes: Sequence[str] = (),
-    title: str = "",
-    header: bool = True,
-    names: int = 1,
-) -> None:
-    """Print a table to stdout, fitted to a terminal or tab-separated; see ``Table``."""
-    table = Table(columns, rows, notes, title, has_head=header, names=names)
-    kept = settings().tables
-    if kept is not None and header:
-        kept.append(table)
-    if sys.stdout.isatty():
-        text = table.fitted(_width(), is_whole=is_verbose())
-    else:
-        text = "\n".join(table.tabbed())
-    print(f"{text}\n")
-
-
 @contextlib.contextmanager
 def progress_bar() -> Iterator[Progress]:
     """Give a callback (stage, done, total) that draws bars on a terminal, else prints lines."""
@@ -245,6 +224,17 @@ class Table:
     title: str = ""
     has_head: bool = True
     names: int = 1
+
+    def print(self) -> None:
+        """Print the table to stdout, fitted to a terminal or tab-separated."""
+        kept = settings().tables
+        if kept is not None and self.has_head:
+            kept.append(self)
+        if sys.stdout.isatty():
+            text = self.fitted(_width(), is_whole=is_verbose())
+        else:
+            text = "\n".join(self.tabbed())
+        print(f"{text}\n")
 
     @property
     def heads(self) -> list[str]:

@@ -104,7 +104,7 @@ def _print_figures(items: Sequence[Item], what: str, title: str) -> None:
     columns = ["case ", "seed ", f"{what} ", *(figure.label for figure in figures.values())]
     if not any(row[1] for row in rows):
         columns, rows = columns[:1] + columns[2:], [row[:1] + row[2:] for row in rows]
-    output.print_table(columns, rows, title=title, names=len(columns) - len(figures))
+    output.Table(columns, rows, title=title, names=len(columns) - len(figures)).print()
 
 
 def print_by_case(figures: pd.DataFrame, what: str, leading: Sequence[str]) -> None:
@@ -126,7 +126,7 @@ def print_by_case(figures: pd.DataFrame, what: str, leading: Sequence[str]) -> N
             cells = [shown.get((method, case), "-") for case in cases]
             rows.append([method, *cells, *(number(value, figure.digits) for value in over_cases)])
         title = f"{figure.label}, case by case"
-        output.print_table((f"{what} ", *cases, "mean", "std"), rows, title=title)
+        output.Table((f"{what} ", *cases, "mean", "std"), rows, title=title).print()
 
 
 FORMS = (".csv", ".md", ".tex")

@@ -276,11 +276,11 @@ def _print_slams(run: jobs.run_files.LogRun) -> None:
             row.append(number(own_run.health.mean_match_score))
         rows.append(row + ["-"] * (len(COLUMNS) - len(row)))
     shown = len(COLUMNS) if output.is_verbose() else BRIEF
-    output.print_table(
+    output.Table(
         COLUMNS[:shown],
         [row[:shown] for row in rows],
         notes=[notes.get(name, "") for name in votes] if notes else (),
-    )
+    ).print()
 
 
 def _print_details(run: jobs.run_files.LogRun) -> None:
@@ -298,7 +298,7 @@ def _print_details(run: jobs.run_files.LogRun) -> None:
         tables.print_evaluations(run.evaluations)
     if run.recommendation is not None and run.recommendation.paths:
         columns, rows = tables.path_table(run.recommendation)
-        output.print_table(columns, rows, title="How well the scans support each path")
+        output.Table(columns, rows, title="How well the scans support each path").print()
     if run.fused_path is not None:
         trust = ", ".join(f"{name} {share:.2f}" for name, share in run.fused_path.trust.items())
         output.say(f"weights in the fused path: {trust}")
@@ -366,7 +366,7 @@ def _run_several(
 
 
 def _print_logs(runs: Sequence[jobs.run_many.RunOfLog], out: Path) -> None:
-    output.print_table(
+    output.Table(
         ("log ", "maps fused", "use ", "time [s]", "folder "),
         [
             [
@@ -380,7 +380,7 @@ def _print_logs(runs: Sequence[jobs.run_many.RunOfLog], out: Path) -> None:
         ],
         notes=["" if run.error is None else f"NO FUSED MAP: {run.error}" for run in runs],
         title=f"{len(runs)} runs",
-    )
+    ).print()
     if any(run.fused is not None for run in runs):
         output.print_facts(
             ("report", f"FOLDER/{REPORT}/{PAGE}"),

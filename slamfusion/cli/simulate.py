@@ -11,7 +11,7 @@ import click
 from slamfusion import jobs
 from slamfusion.cli import options
 from slamfusion.cli.help import Command
-from slamfusion.cli.output import notice, print_if_json, print_table, progress_bar
+from slamfusion.cli.output import Table, notice, print_if_json, progress_bar
 from slamfusion.cli.paths import MAP, InputPath
 from slamfusion.config import COURSES, RunConfig
 from slamfusion.jobs.records import number
@@ -86,4 +86,4 @@ def command(context: click.Context, course: Path, folder: Path, config: RunConfi
         *(["file", str(path)] for path in made.files),
         ["time", f"{number(made.time_s, 1)} s on {made.device}"],
     ]
-    print_table((" ", " "), rows, title="Simulated drive", header=False)
+    Table((" ", " "), rows, title="Simulated drive", has_head=False).print()

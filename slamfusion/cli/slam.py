@@ -12,7 +12,7 @@ import click
 from slamfusion import evaluation, jobs
 from slamfusion.cli import options, tables
 from slamfusion.cli.help import Command, Number, ProducerGroup
-from slamfusion.cli.output import notice, print_facts, print_if_json, print_table, progress_bar
+from slamfusion.cli.output import Table, notice, print_facts, print_if_json, progress_bar
 from slamfusion.cli.paths import FILE, MAP, stem_of
 from slamfusion.cli.results import print_items, table_option
 from slamfusion.config import RunConfig
@@ -171,12 +171,12 @@ def _run_seeds(
 
 def _print(result: jobs.map_log.ProducerResult, log: Path) -> None:
     run = result.run
-    print_table(
+    Table(
         ("what ", "value "),
         [[name, value] for name, value in result.figures()],
         title=f"{run.name} on {log}",
-        header=False,
-    )
+        has_head=False,
+    ).print()
     for where, sentence in jobs.map_log.run_remarks(run):
         print(f"{where}: {sentence}")
     if result.measures.relations is not None or result.measures.truth is not None:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import click
 
 from slamfusion import evaluation, jobs
-from slamfusion.cli.output import is_verbose, notice, print_table, say, wrapped
+from slamfusion.cli.output import Table, is_verbose, notice, say, wrapped
 from slamfusion.jobs.records import number
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ def print_fusion(
     result: Fusion, doubled: jobs.fuse_documents.DoubledWalls | None, wanted: str | None
 ) -> None:
     """Print the pose of each input, their number and the frame; verbose: reasons and starts."""
-    print_table(
+    Table(
         PAIR_COLUMNS[1:],
         [_row(record, result.reference) for record in result.inputs],
         notes=[
@@ -44,7 +44,7 @@ def print_fusion(
             for record in result.inputs
         ],
         title=f"Alignment to {result.reference}" + (f", on {result.device}" * is_verbose()),
-    )
+    ).print()
     fused, added = jobs.fuse_documents.fusion_sentences(result, doubled, wanted)
     say(fused)
     if not is_verbose():
@@ -85,12 +85,12 @@ def _transform_words(pair: Alignment) -> str:
 
 def print_pairs(pairs: Sequence[Alignment], device: str) -> None:
     """Print the pairs of maps of which nothing was fused."""
-    print_table(
+    Table(
         PAIR_COLUMNS,
         [[pair.reference, *_cells(pair, _accepted(pair))] for pair in pairs],
         notes=[pair.reason for pair in pairs],
         title=f"Nothing was fused (on {device})",
-    )
+    ).print()
 
 
 def _accepted(found: Alignment) -> str:
@@ -169,7 +169,7 @@ def _print_figures(
         [*name, *(number(value, figure.digits) for figure, value in own)]
         for name, own in zip(names, figures, strict=True)
     ]
-    print_table(columns, rows, title=title)
+    Table(columns, rows, title=title).print()
 
 
 def print_measures(estimate: Trajectory, measures: evaluation.measured.Measures) -> None:
@@ -182,7 +182,7 @@ def print_measures(estimate: Trajectory, measures: evaluation.measured.Measures)
         for kind, errors, digits in own.kinds()
     ]
     title = f"{estimate.name}: {len(estimate)} poses, {estimate.path_length_m():.1f} m"
-    print_table(("error ", *figures), rows, title=title)
+    Table(("error ", *figures), rows, title=title).print()
     for note in measures.how_counted():
         say(note)
 
