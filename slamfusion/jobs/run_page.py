@@ -81,16 +81,11 @@ def _banner(run: LogRun) -> page.Banner:
     if run.fused_mode == "drawn":
         how = "the map is drawn from all scans at their fused path"
     lines.append(("Fused:", f"{accepted}; {how}; in the frame of {result.reference}."))
-    total = len(result.inputs) - len(result.copies) + len(run.failed)
-    fused = len(result.accepted)
-    how_many = (
-        f"Only {fused} of {total}" if fused < total else ("Both" if total == 2 else f"All {total}")
-    )
+    how_many = fusion_report.how_many_fused(result, len(run.failed))
     if answer is None:
-        return page.Banner(
-            "warn" if fused < total else "plain", f"{how_many} maps were fused", lines
-        )
-    lines.append(("", f"{how_many} maps were fused."))
+        tone = "warn" if result.rejected or run.failed else "plain"
+        return page.Banner(tone, how_many, lines)
+    lines.append(("", f"{how_many}."))
     return page.Banner(answer.tone, answer.headline, lines)
 
 

@@ -25,13 +25,17 @@ def fusion_banner(result: FusionResult, failure: str | None) -> page.Banner:
     accepted = ", ".join(record.name for record in result.accepted)
     lines = doubtful_lines(result)
     lines.append(("Fused:", f"{accepted or 'none'}; in the frame of {result.reference}."))
-    total, fused = len(result.inputs) - len(result.copies), len(result.accepted)
     if failure is not None:
         return page.Banner("bad", "Do not use this map", [("", failure), *lines])
-    if result.rejected:
-        return page.Banner("warn", f"Only {fused} of {total} maps were fused", lines)
-    tone = "warn" if result.doubtful else "good"
-    return page.Banner(tone, f"{'Both' if total == 2 else f'All {total}'} maps were fused", lines)
+    tone = "warn" if result.rejected or result.doubtful else "good"
+    return page.Banner(tone, how_many_fused(result), lines)
+
+
+def how_many_fused(result: FusionResult, failed: int = 0) -> str:
+    """Say how many maps, without copies, were fused; ``failed`` were not made."""
+    total, fused = len(result.inputs) - len(result.copies) + failed, len(result.accepted)
+    every = "Both" if total == 2 else f"All {total}"
+    return f"{every if fused == total else f'Only {fused} of {total}'} maps were fused"
 
 
 def doubtful_lines(result: FusionResult) -> list[tuple[str, str]]:
