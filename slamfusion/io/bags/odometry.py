@@ -11,7 +11,7 @@ import numpy as np
 
 from slamfusion.config import LogConfig
 from slamfusion.errors import LogError
-from slamfusion.geometry import F64, Pose2, compose_poses, quaternion_yaw_rad, wrap_angle
+from slamfusion.geometry import F64, Pose2, blend_poses, compose_poses, pose_of, quaternion_yaw_rad
 from slamfusion.io.bags.reader import SCAN_TYPES, TRANSFORM_TYPES, OpenBag, open_bag, stamp_s
 from slamfusion.io.log import FARTHEST_M, REACH_S
 from slamfusion.io.transforms import HOLD_S, TransformTree, plan_poses
@@ -50,13 +50,8 @@ class BagOdometry:
         until_s = float(self.stamps_s[after]) - stamp_s
         if min(since_s, until_s) > REACH_S:
             return NO_ODOMETRY
-        first, second = self.poses[after - 1].tolist(), self.poses[after].tolist()
-        share = since_s / (since_s + until_s)
-        return Pose2(
-            first[0] + share * (second[0] - first[0]),
-            first[1] + share * (second[1] - first[1]),
-            wrap_angle(first[2] + share * wrap_angle(second[2] - first[2])),
-        )
+        around, share = self.poses[after - 1 : after + 1], since_s / (since_s + until_s)
+        return pose_of(blend_poses(around[:1], around[1:], np.array([share]))[0])
 
     def track(self, stamps_s: F64) -> F64 | None:
         """Return the poses (N, 3) at times (N,); None if any is unknown."""
