@@ -15,6 +15,7 @@ import itertools
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -142,15 +143,12 @@ def fit_paths(moving: Trajectory, still: Trajectory) -> Pose2:
     return fit_motion(with_levers(moving.poses[at]), with_levers(there))
 
 
-def place_by_path(
-    pair: Alignment, maps: Pair, paths: Mapping[str, Trajectory], limit_m: float
-) -> Alignment:
+def place_by_path(pair: Alignment, maps: Pair, paths: Mapping[str, Trajectory]) -> Alignment:
     """Return an alignment, or the one by the paths if the walls are ambiguous.
 
     Args:
         pair: by the walls alone; accepted if the paths agree too (``PATH_GAP`` in its statistics).
         paths: by producer; a pair without both paths is returned unchanged.
-        limit_m: two paths agree when their median gap is at most this, metres.
     """
     if pair.reference not in paths or pair.moving not in paths:
         return pair
@@ -160,12 +158,12 @@ def place_by_path(
         laid = {pair.moving: moved.moved(found.transform), pair.reference: still}
         return path_gaps(laid)[0].median_m
 
-    is_there = gap_m(pair) <= limit_m
+    is_there = gap_m(pair) <= PATH_GAP_M
     if pair.accepted and is_there:
         return replace(pair, statistics=pair.statistics | {PATH_GAP: gap_m(pair)})
     found = track_pair(maps, pair.transform if is_there else fit_paths(moved, still))
     gap = gap_m(found)
-    if not found.accepted or gap > limit_m:
+    if not found.accepted or gap > PATH_GAP_M:
         return pair
     match, chance = found.statistics["wall_match"], found.statistics["chance"]
     runner_up = pair.runner_up
@@ -211,7 +209,6 @@ def fuse_with_paths(
     grids: Sequence[OccupancyGrid],
     paths: Mapping[str, Trajectory],
     config: FusionConfig,
-    limit_m: float,
     device: ComputeDevice,
     progress: Callable[[str, float, int], None] | None = None,
     starts: Starts | None = None,
@@ -222,7 +219,6 @@ def fuse_with_paths(
 
     Args:
         paths: of the grids that producers of one drive made, by name, each in its map's frame.
-        limit_m: two paths agree when their median gap is at most this, metres.
 
     Returns:
         The fusion, and the gaps between the paths of all producers whose walls fit, including those
@@ -231,10 +227,7 @@ def fuse_with_paths(
     Raises:
         AlignmentError: fewer than two inputs fit; ``PathsApartError``: or are left for their paths.
     """
-
-    def look(pair: Alignment, maps: Pair) -> Alignment:
-        return place_by_path(pair, maps, paths, limit_m)
-
+    look = partial(place_by_path, paths=paths)
     result = fuse_grids(grids, config, device, progress, look, starts)
     placed = {
         record.name: paths[record.name].moved(record.alignment.transform)
@@ -242,7 +235,7 @@ def fuse_with_paths(
         if record.name in paths and record.alignment is not None
     }
     gaps = path_gaps(placed)
-    _, reasons = agreeing(tuple(placed), gaps, limit_m)
+    _, reasons = agreeing(tuple(placed), gaps)
     if not reasons:
         return result, gaps
     if len(result.accepted) - len(reasons) < LEAST_FUSED:
@@ -263,7 +256,7 @@ def fuse_with_paths(
 
 
 def agreeing(
-    names: Sequence[str], gaps: Sequence[PathGap], limit_m: float
+    names: Sequence[str], gaps: Sequence[PathGap]
 ) -> tuple[tuple[str, ...], dict[str, str]]:
     """Return the largest group of producers whose paths agree, and why others are left out.
 
@@ -273,17 +266,16 @@ def agreeing(
 
     Args:
         names: the producers, in order.
-        limit_m: two paths agree when their median gap is at most this, metres.
     """
     found = {frozenset((gap.a, gap.b)): gap for gap in gaps}
     if len(names) < 2:
         return tuple(names), {}
     sizes = range(len(names), 1, -1)
-    for late_limit_m, size in itertools.product((LOST_LIMITS * limit_m, math.inf), sizes):
+    for late_limit_m, size in itertools.product((LOST_LIMITS * PATH_GAP_M, math.inf), sizes):
         agree = []
         for members in itertools.combinations(names, size):
             inside = [found[frozenset(pair)] for pair in itertools.combinations(members, 2)]
-            if all(gap.median_m <= limit_m and gap.late_m <= late_limit_m for gap in inside):
+            if all(gap.median_m <= PATH_GAP_M and gap.late_m <= late_limit_m for gap in inside):
                 agree.append((sum(gap.median_m for gap in inside), members))
         if agree:
             _, members = min(agree, key=lambda item: item[0])

@@ -24,7 +24,7 @@ from slamfusion.evidence.drawn_map import draw_map, fuse_with_drawn
 from slamfusion.evidence.predictive import PathEvidence, score_paths, with_path
 from slamfusion.evidence.recommendation import Recommendation, recommend
 from slamfusion.fusion.groups import LEAST_FUSED
-from slamfusion.fusion.path_check import PATH_GAP_M, PathsApartError, fallback_map, fuse_with_paths
+from slamfusion.fusion.path_check import PathsApartError, fallback_map, fuse_with_paths
 from slamfusion.grid import OccupancyGrid
 from slamfusion.jobs import inputs
 from slamfusion.jobs.cases import CaseFile
@@ -376,7 +376,7 @@ def fuse_drive(
     if shared_frame:
         fusion = replace(fusion, align=replace(fusion.align, shared_frame=True))
     try:
-        result, gaps = fuse_with_paths(given, paths, fusion, PATH_GAP_M, device, progress, starts)
+        result, gaps = fuse_with_paths(given, paths, fusion, device, progress, starts)
     except AlignmentError as error:
         return DriveFusion(
             given,

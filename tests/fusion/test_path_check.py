@@ -76,7 +76,7 @@ def test_where_a_path_was_between_its_poses_is_known() -> None:
 
 def test_the_largest_group_that_agrees_is_kept() -> None:
     paths = {"a": TRUE_PATH, "b": shifted(4.0), "c": shifted(0.3), "d": shifted(0.4)}
-    members, reasons = agreeing(tuple(paths), path_gaps(paths), 1.0)
+    members, reasons = agreeing(tuple(paths), path_gaps(paths))
     assert members == ("a", "c", "d")
     assert set(reasons) == {"b"}
     assert "4.00 m from that of a and 3.70 m from that of c" in reasons["b"]
@@ -84,14 +84,14 @@ def test_the_largest_group_that_agrees_is_kept() -> None:
 
 def test_of_two_that_disagree_neither_is_believed() -> None:
     paths = {"a": TRUE_PATH, "b": shifted(4.0)}
-    members, reasons = agreeing(("a", "b"), path_gaps(paths), 1.0)
+    members, reasons = agreeing(("a", "b"), path_gaps(paths))
     assert members == ()
     assert set(reasons) == {"a", "b"}
 
 
 def test_maps_whose_paths_agree_all_vote(device: ComputeDevice) -> None:
     grids, paths = producers()
-    result, gaps = fuse_with_paths(grids, paths, QUICK, 0.5, device)
+    result, gaps = fuse_with_paths(grids, paths, QUICK, device)
     assert [record.name for record in result.accepted] == ["a", "b", "c"]
     assert len(gaps) == 3
     assert max(gap.max_m for gap in gaps) < 0.2
@@ -102,7 +102,7 @@ def test_a_producer_that_was_elsewhere_is_left_out_though_its_walls_fit(
 ) -> None:
     grids, paths = producers()
     paths["b"] = paths["b"].moved(Pose2(0.0, 2.0))
-    result, gaps = fuse_with_paths(grids, paths, QUICK, 0.5, device)
+    result, gaps = fuse_with_paths(grids, paths, QUICK, device)
     assert [record.name for record in result.accepted] == ["a", "c"]
     (rejected,) = result.rejected
     assert rejected.name == "b"
@@ -113,14 +113,14 @@ def test_a_producer_that_was_elsewhere_is_left_out_though_its_walls_fit(
     assert len(gaps) == 3
     assert len(result.pairs) == 3
     # The vote is that of the other two alone.
-    without, _ = fuse_with_paths([grids[0], grids[2]], paths, QUICK, 0.5, device)
+    without, _ = fuse_with_paths([grids[0], grids[2]], paths, QUICK, device)
     assert np.array_equal(result.fused.cells, without.fused.cells)
 
 
 def test_a_saved_map_has_no_path_and_votes(device: ComputeDevice) -> None:
     grids, paths = producers()
     del paths["b"]
-    result, gaps = fuse_with_paths(grids, paths, QUICK, 0.5, device)
+    result, gaps = fuse_with_paths(grids, paths, QUICK, device)
     assert len(result.accepted) == 3
     assert [(gap.a, gap.b) for gap in gaps] == [("a", "c")]
 
@@ -129,7 +129,7 @@ def test_two_producers_that_were_apart_are_not_fused(device: ComputeDevice) -> N
     grids, paths = producers()
     paths["b"] = paths["b"].moved(Pose2(0.0, 2.0))
     with pytest.raises(PathsApartError, match="the paths do not") as caught:
-        fuse_with_paths(grids[:2], paths, QUICK, 0.5, device)
+        fuse_with_paths(grids[:2], paths, QUICK, device)
     assert len(caught.value.pairs) == 1
     (gap,) = caught.value.gaps
     assert gap.median_m == pytest.approx(2.0, abs=0.2)
@@ -162,9 +162,7 @@ def test_a_map_that_walls_leave_open_is_placed_by_its_path(
         fuse_grids(grids, config, device)
     turn = Pose2(0.0, 0.0, turns * math.pi / 2.0)
     path = TRUE_PATH.moved(Pose2(-4.0, -3.0))
-    result, _ = fuse_with_paths(
-        grids, {"a": path, "b": path.moved(turn.inverse())}, config, 0.5, device
-    )
+    result, _ = fuse_with_paths(grids, {"a": path, "b": path.moved(turn.inverse())}, config, device)
     assert len(result.accepted) == 2
     (pair,) = result.pairs
     assert pair.reason.startswith("placed by its path: 0.0")
@@ -181,7 +179,7 @@ def test_without_walls_that_meet_no_path_places_a_map(device: ComputeDevice) -> 
     empty = replace(stranger, cells=np.zeros_like(stranger.cells))
     for other, reason in ((stranger, "no two of the inputs"), (empty, "b has no occupied cell")):
         with pytest.raises(AlignmentError, match=reason):
-            fuse_with_paths([grids[0], other], {"a": TRUE_PATH, "b": TRUE_PATH}, QUICK, 1.0, device)
+            fuse_with_paths([grids[0], other], {"a": TRUE_PATH, "b": TRUE_PATH}, QUICK, device)
 
 
 def test_a_producer_that_is_lost_on_its_way_is_left_out_where_two_are_not() -> None:
@@ -191,12 +189,12 @@ def test_a_producer_that_is_lost_on_its_way_is_left_out_where_two_are_not() -> N
     paths = {"a": TRUE_PATH, "b": lost, "c": shifted(0.2)}
     gaps = path_gaps(paths)
     assert gaps[0].median_m == 0.0
-    members, reasons = agreeing(tuple(paths), gaps, 1.0)
+    members, reasons = agreeing(tuple(paths), gaps)
     assert members == ("a", "c")
     assert "more than 8.00 m for a quarter of the time" in reasons["b"]
     # Of two that were together half of the time neither is known to be lost.
     del paths["c"]
-    assert agreeing(("a", "b"), path_gaps(paths), 1.0) == (("a", "b"), {})
+    assert agreeing(("a", "b"), path_gaps(paths)) == (("a", "b"), {})
 
 
 def test_the_fallback_map_is_the_one_that_others_bear_out(device: ComputeDevice) -> None:
