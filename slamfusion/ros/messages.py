@@ -151,14 +151,12 @@ def _row_of_path(frame_size: int) -> np.dtype[Any]:
     return np.dtype([*stamp, *frame, ("pose", "(7,)<f8")], align=True)
 
 
-def path_to_bytes(
-    trajectory: Trajectory, frame_id: str, stamp: Time, most: int = PATH_POSES
-) -> bytes:
-    """Return a serialized nav_msgs/Path with at most ``most`` poses; see ``Trajectory.at_most``.
+def path_to_bytes(trajectory: Trajectory, frame_id: str, stamp: Time) -> bytes:
+    """Return a serialized nav_msgs/Path with at most ``PATH_POSES``; see ``Trajectory.at_most``.
 
     As messages 5000 poses would take 50 ms to make, and 90 ms to read.
     """
-    trajectory = trajectory.at_most(most)
+    trajectory = trajectory.at_most(PATH_POSES)
     count, stamps_s = len(trajectory), trajectory.stamps_s.tolist()
     header = Header(frame_id=frame_id, stamp=stamp)
     first = [

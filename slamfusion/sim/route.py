@@ -133,7 +133,7 @@ class FreeSpace:
         while chain[-1] != first:
             chain.append(int(before[chain[-1]]))
         points = np.concatenate(([start], self._places[chain[::-1]][1:-1], [end]))
-        return self._smooth(_respaced(points, STEP_M / 2.0))
+        return self._smooth(_respaced(points))
 
     def _smooth(self, points: F64) -> F64:
         """Straighten a path as far as the margin allows, with fixed ends."""
@@ -144,7 +144,7 @@ class FreeSpace:
             moved[1:-1] = (points[:-2] + points[2:]) / 2.0
             kept = self.clearance_m(moved) >= least
             points[kept] = moved[kept]
-        return _respaced(points, STEP_M / 2.0)
+        return _respaced(points)
 
     def tour(self, start: Point, spacing_m: float, most: int) -> list[Point]:
         """Return stops near every reachable place, in a short order, the last of them the start.
@@ -187,10 +187,10 @@ class FreeSpace:
         return bool((self.clearance_m(line) >= self.radius_m).all())
 
 
-def _respaced(points: F64, step_m: float) -> F64:
-    """Return evenly spaced points along a line, its ends kept."""
+def _respaced(points: F64) -> F64:
+    """Return evenly spaced points along a line, its ends kept, half of ``STEP_M`` apart."""
     along = travelled(points)
-    count = max(1, round(float(along[-1]) / step_m))
+    count = max(1, round(float(along[-1]) / (STEP_M / 2.0)))
     at = np.linspace(0.0, float(along[-1]), count + 1)
     return np.stack([np.interp(at, along, points[:, axis]) for axis in (0, 1)], axis=1)
 
