@@ -26,7 +26,7 @@ from slamfusion.evaluation.relations import (
     read_relations,
     relation_errors,
 )
-from slamfusion.evaluation.statistics import ErrorStatistics, mean_interval
+from slamfusion.evaluation.statistics import ErrorStatistics
 from slamfusion.evaluation.trajectory_error import TrajectoryErrors, trajectory_errors
 from slamfusion.geometry import F64
 from slamfusion.io import read_trajectory
@@ -253,7 +253,7 @@ class PathErrors:
                 )
             notes.append(f"{known.relations_used} of {known.relations_total} relations used, {how}")
         if (scans := self.at_scans) is not None:
-            low, high = mean_interval(scans.translation_m)
+            low, high = scans.translation_mean_95
             notes.append(
                 f"both ends are poses of the trajectory in {scans.relations_used} of "
                 f"{scans.relations_total} relations; the mean of their translation errors is "
@@ -263,7 +263,7 @@ class PathErrors:
             aligned = "aligned" if truth.alignment.kind == "se2" else "not aligned"
             notes.append(
                 f"{truth.poses_matched} of {truth.poses} poses met one of {truth.truth} within "
-                f"{truth.tolerance_s:g} s, {aligned}; {len(truth.relative_translation_m)} pairs"
+                f"{truth.tolerance_s:g} s, {aligned}; {truth.rpe_pairs} pairs"
             )
             if truth.time_offset_s:
                 notes.append(f"{truth.time_offset_s:.4f} s added to the times of {truth.truth}")
