@@ -221,23 +221,11 @@ def print_believed(results: list[Result], console: Console) -> None:
             console.print(f"WRONG: {result['name']}{off}: {reason}", markup=False)
 
 
-def print_times(results: list[Result], console: Console) -> None:
-    """Print how long an alignment took, maps read and prepared; fields made on demand count."""
-    table = Table("set", "median s", "90 % s", "longest s", title="time of an alignment")
-    for what in (*POSITIVES, *NEGATIVES):
-        times = [result["alignment"]["time_s"] for result in results if result["what"] == what]
-        if times:
-            numbers = (*np.percentile(times, (50, 90)), max(times))
-            table.add_row(what, *(f"{number:.3f}" for number in numbers))
-    console.print(table)
-
-
 def print_all(results: list[Result], console: Console) -> None:
     """Print every table."""
     results = sorted(results, key=lambda result: result["name"])
     print_found(results, console)
     print_believed(results, console)
-    print_times(results, console)
 
 
 def main() -> None:

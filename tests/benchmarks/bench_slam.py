@@ -11,8 +11,8 @@ over 0.5 m or 0.1 rad apart is false.
 logs: gmapping-corrected logs of more buildings, driven by their reconstructed odometry. Distances
 are to gmapping's answer, which is no truth.
 
-With --maps the first seed's maps are written as PNG, of logs with a report. --config takes a YAML
-file of settings, as the command line does, e.g. gmapping's published profile.
+With --maps the first seed's maps are written as PNG. --config takes a YAML file of settings, as the
+command line does, e.g. gmapping's published profile.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from slamfusion.config import DeviceConfig, NormalizeConfig, RunConfig
 from slamfusion.config.run import LidarName
 from slamfusion.evaluation.doubled_walls import doubled_wall_share
 from slamfusion.evaluation.map_error import compare_to_truth
-from slamfusion.evaluation.measured import GroundTruth, Measures
+from slamfusion.evaluation.measured import GroundTruth
 from slamfusion.evaluation.odometry import match_odometry
 from slamfusion.evaluation.relations import Relations, errors_at_scans
 from slamfusion.evaluation.statistics import mean_interval
@@ -43,7 +43,6 @@ from slamfusion.geometry import F64, compose_poses, invert_poses, row_of, wrap_a
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import LogScan, open_log, read_trajectory, save_map
 from slamfusion.io.log import odometry_path
-from slamfusion.jobs.map_log import SlamProducer, write_slam_report
 from slamfusion.sim import named_course, simulate, with_overrides
 from slamfusion.slam.common.mapper import Closure
 from slamfusion.slam.common.runner import ProducerRun, run_producer
@@ -85,7 +84,6 @@ class Bench:
         config: settings of the producer, and of the measures.
         seeds: of the runs, and of the simulated courses.
         only: names of drives, courses or logs; empty: all of them.
-        uses_odometry: False strips it from the scans.
         maps: folder for the first seed's maps; None: none are written.
     """
 
@@ -94,7 +92,6 @@ class Bench:
     device: ComputeDevice
     seeds: range
     only: Sequence[str]
-    uses_odometry: bool
     maps: Path | None
 
     def chosen(self, names: Iterable[str]) -> list[str]:
@@ -103,8 +100,6 @@ class Bench:
 
     def run(self, name: str, scans: Iterable[LogScan], seed: int, **more: Any) -> ProducerRun:
         """Run a fresh producer, and write its map."""
-        if not self.uses_odometry:
-            scans = (replace(item, odometry=None) for item in scans)
         mapper = make_producer(self.producer, replace(self.config, seed=seed), self.device)
         run = run_producer(mapper, scans, **more)
         self.keep_map(run.grid, seed, name)
@@ -301,13 +296,11 @@ def logs(bench: Bench) -> Iterator[Row]:
     for name in bench.chosen(found):
         beside = found[name].with_name(f"{name}.odom.csv.gz")
         odometry = beside if beside.exists() else None
-        own = replace(bench, uses_odometry=bench.uses_odometry and odometry is not None)
         corrected = read_trajectory(found[name], bench.config.log)
         for seed in bench.seeds:
             log = open_log(found[name], bench.config.log, odometry)
-            run = own.run(name, log, seed, log=log)
-            if bench.maps is not None and seed == bench.seeds[0]:
-                write_report(bench.maps / name, run, corrected, bench.config)
+            items = log if odometry else (replace(item, odometry=None) for item in log)
+            run = bench.run(name, items, seed, log=log)
             for sentence in (*run.health.skips.sentences("scan"), *run.warnings):
                 print(f"{name}: {sentence}")
             used = [item for item in loops(run.closures) if item.weight >= USED_FROM]
@@ -323,17 +316,6 @@ def logs(bench: Bench) -> Iterator[Row]:
                 run.grid.classified(THRESHOLDS).cells == 1
             )
             yield row | cost(run)
-
-
-def write_report(folder: Path, run: ProducerRun, corrected: Trajectory, config: RunConfig) -> None:
-    """Write the report of a run, with the corrected path next to its own."""
-    moved = trajectory_errors(corrected, run.trajectory, config.trajectory).alignment.transform
-    other = replace(corrected.moved(moved), name="the corrected log, aligned")
-    shown = replace(run, other_paths=(*run.other_paths, other))
-    result = SlamProducer(
-        run=shown, measures=Measures(), map_error=None, device="", resumed_from=None
-    )
-    write_slam_report(result, folder, config)
 
 
 # --- tables --------------------------------------------------------------------------------------
@@ -393,8 +375,6 @@ def main() -> None:
     parser.add_argument("--part", choices=PARTS, action="append", help="default: all")
     parser.add_argument("--only", action="append", metavar="NAME", help="drive, course or log")
     parser.add_argument("--seeds", type=int, help="default: 5; logs 1")
-    parser.add_argument("--first-seed", type=int, default=0)
-    parser.add_argument("--no-odometry", action="store_true", help="on the laser alone")
     parser.add_argument("--maps", type=Path, metavar="DIR")
     parser.add_argument("--config", type=Path, metavar="FILE")
     parser.add_argument("--device")
@@ -406,14 +386,12 @@ def main() -> None:
     device = open_producer_device(options.producer, config)
     for name in options.part or PARTS:
         part, count = PARTS[name]
-        first = options.first_seed
         bench = Bench(
             options.producer,
             config,
             device,
-            range(first, first + (options.seeds or count)),
+            range(options.seeds or count),
             options.only or (),
-            not options.no_odometry,
             None if options.maps is None else options.maps / name,
         )
         began_s = time.perf_counter()
