@@ -23,7 +23,6 @@ import itertools
 import json
 import math
 import pickle
-import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -198,7 +197,6 @@ class Found:
         ate_m: by producer, and of the path fused of them.
         taken: the producer whose path is taken.
         pairs: (better by evidence, of the two the nearer to the truth) of producers told apart.
-        time_s: of choosing beams and scoring the producers' paths.
     """
 
     key: str
@@ -213,7 +211,6 @@ class Found:
     ate_m: dict[str, float]
     taken: str
     pairs: list[tuple[str, str]] = field(default_factory=list)
-    time_s: float = 0.0
 
     def chosen(self, *, with_fused: bool = False) -> str:
         """Return the path that scores best, of the producers' or with the fused one among them."""
@@ -258,10 +255,8 @@ def judge_drive(folder: Path, device: ComputeDevice) -> Iterator[Found]:
         parts = {name: between(path, *span) for name, path in drive.paths.items()}
         parts = {name: path for name, path in parts.items() if len(path) > 1}
         wrong = {name: change(truth) for name, change in WRONG.items()}
-        began_s = time.perf_counter()
         judged = judged_scans(scans)
         alone = score_paths(judged, parts, device)
-        time_s = time.perf_counter() - began_s
         fused = {FUSED: fuse_weighed_paths(parts, alone)[0].trajectory}
         evidence = score_paths(judged, {TRUTH: truth, **parts, **fused, **wrong}, device)
         contest = evidence.of_paths((TRUTH, *parts))
@@ -287,7 +282,6 @@ def judge_drive(folder: Path, device: ComputeDevice) -> Iterator[Found]:
             (best, *(name for name in others if name not in behind)),
             ate_m,
             taken,
-            time_s=time_s,
         )
         names = list(parts)
         for number, a in enumerate(names):
@@ -347,16 +341,7 @@ def print_validity(found: Sequence[Found], record: Path | None) -> None:
     right = sum(best == nearer for best, nearer in pairs)
     what = "pairs of producers told apart, rightly so (ATE); no kidnappings"
     table.add_row(what, f"{right} of {len(pairs)}", f"{len(pairs)} of {total}", "-")
-    console = console_for("evidence-validity", record, width=110)
-    console.print(table)
-    for item in found:
-        if TRUTH not in item.tied:
-            best = item.tied[0]
-            ate_m = item.ate_m[best]
-            console.print(
-                f"  not in {item.key}: {best} {item.scores[best]:.3f}, truth "
-                f"{item.scores[TRUTH]:.3f}; its ATE is {ate_m:.3f} m"
-            )
+    console_for("evidence-validity", record, width=110).print(table)
 
 
 def print_choice(name: str, record: Path | None, found: Sequence[Found], title: str) -> None:
@@ -410,8 +395,6 @@ def main() -> None:
     if kidnapped:
         title = f"The same in {len(kidnapped)} segments of kidnappings"
         print_choice("evidence-kidnapped", None, kidnapped, title)
-    times_s = [item.time_s for item in found]
-    print(f"beams and scores: {np.mean(times_s):.2f} s a drive, at most {max(times_s):.2f}")
     if arguments.json:
         arguments.json.write_text(json.dumps([vars(item) for item in found], indent=1))
 

@@ -136,17 +136,8 @@ class Row:
 # --- fuse ----------------------------------------------------------------------------------------
 
 
-def fuse_case(
-    case: Case, modes: Sequence[str], device: ComputeDevice, *, each: bool = False
-) -> dict[str, Fused]:
-    """Fuse the maps of a case in several modes.
-
-    Args:
-        case: its maps.
-        modes: of the vote.
-        device: computes.
-        each: align the maps for each mode again; else all modes vote under the first's alignment.
-    """
+def fuse_case(case: Case, modes: Sequence[str], device: ComputeDevice) -> dict[str, Fused]:
+    """Align the maps of a case once and fuse them in several modes."""
     result: FusionResult | None = None
     made = {}
     for mode in modes:
@@ -155,16 +146,12 @@ def fuse_case(
         config = replace(config, vote=vote)
         began_s = time.process_time()
         try:
-            if result is None or each:
+            if result is None:
                 result = fuse_grids(case.inputs, config, device)
             else:
                 result = vote_again(result, config, device)
         except AlignmentError as error:
-            failed = Fused(None, reason=str(error))
-            if not each:
-                return dict.fromkeys(modes, failed)
-            made[mode] = failed
-            continue
+            return dict.fromkeys(modes, Fused(None, reason=str(error)))
         starts = [
             case.poses[record.name].compose(record.alignment.transform.inverse())
             for record in result.accepted
@@ -436,9 +423,6 @@ def main() -> None:
     parser.add_argument("--cases", type=_names, default=KINDS, help=f"default: {','.join(KINDS)}")
     parser.add_argument("--modes", type=_names, default=get_args(VoteMode), help="default: all")
     parser.add_argument("--seeds", type=int, default=2)
-    parser.add_argument("--first-seed", type=int, default=0)
-    parser.add_argument("--match", default="", help="only cases with this in their names")
-    parser.add_argument("--each", action="store_true", help="align the maps for each mode again")
     parser.add_argument(
         "--json", type=Path, metavar="FILE", help="write all figures, after each case"
     )
@@ -449,10 +433,10 @@ def main() -> None:
     device = open_device()
     rows: list[Row] = []
     for kind in options.cases:
-        for seed in range(options.first_seed, options.first_seed + options.seeds):
-            found = cases(kind, seed, options.match)
+        for seed in range(options.seeds):
+            found = cases(kind, seed)
             for case in track(found, f"{kind} {seed}", disable=not sys.stderr.isatty()):
-                fused = fuse_case(case, options.modes, device, each=options.each)
+                fused = fuse_case(case, options.modes, device)
                 rows += measure_case(case, fused, device)
                 if options.json is not None:
                     document: list[dict[str, Any]] = [asdict(row) for row in rows]

@@ -12,7 +12,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -61,36 +60,29 @@ class Case:
     poses: Mapping[str, Pose2]
 
 
-# A case's name, and what makes it.
-Named = tuple[str, Callable[[], Case]]
-
-
-def cases(kind: str, seed: int, match: str = "") -> Iterator[Case]:
+def cases(kind: str, seed: int) -> Iterator[Case]:
     """Yield the cases of a kind; the same seed gives the same cases.
 
     Args:
         kind: one of ``KINDS``.
         seed: of everything random; the recorded maps have none and come with seed 0 only.
-        match: make only the cases with this in their names.
     """
-    makers: dict[str, Callable[[], Iterator[Named]]] = {
+    makers: dict[str, Callable[[], Iterator[Case]]] = {
         "five-slams": _five_slams,
         "degraded": lambda: _copied("degraded", seed, _degraded(seed)),
         "pairs": lambda: _copied("pairs", seed, PAIRS),
     }
-    for name, make in makers[kind]() if kind != "five-slams" or seed == 0 else ():
-        if match in name:
-            yield make()
+    if kind != "five-slams" or seed == 0:
+        yield from makers[kind]()
 
 
 # --- maps of other SLAMs -------------------------------------------------------------------------
 
 
-def _five_slams() -> Iterator[Named]:
+def _five_slams() -> Iterator[Case]:
     """Yield every recorded world; it has a folder with ``ground_truth.yaml`` and the maps."""
     for path in sorted(FIVE_SLAMS.glob("*/ground_truth.yaml")):
-        name = f"five-slams {path.parent.name}"
-        yield name, partial(_recorded_world, name, path)
+        yield _recorded_world(f"five-slams {path.parent.name}", path)
 
 
 def _recorded_world(name: str, path: Path) -> Case:
@@ -131,7 +123,7 @@ def _true_maps(place: str, rng: np.random.Generator) -> dict[str, OccupancyGrid]
     return {"thin": trinary(load_map(path, legacy_unknown=legacy_unknown))}
 
 
-def _copied(kind: str, seed: int, wanted: Sequence[Sequence[str]]) -> Iterator[Named]:
+def _copied(kind: str, seed: int, wanted: Sequence[Sequence[str]]) -> Iterator[Case]:
     """Yield a case for each list of copies (keys of ``COPIES``); the places take turns."""
     names = [*DRAWN_PLACES, *(name for name, (path, _) in RECORDED.items() if path.is_file())]
     for index, copies in enumerate(wanted):
@@ -139,7 +131,7 @@ def _copied(kind: str, seed: int, wanted: Sequence[Sequence[str]]) -> Iterator[N
         faults = "+".join(dict.fromkeys(copy for copy in copies if copy != "good"))
         name = f"{kind} {len(copies)} of {place}, {faults}, seed {seed}"
         chance = np.random.default_rng([seed, KINDS.index(kind), index])
-        yield name, partial(_copies_of, name, place, copies, chance)
+        yield _copies_of(name, place, copies, chance)
 
 
 def _copies_of(name: str, place: str, copies: Sequence[str], rng: np.random.Generator) -> Case:
