@@ -42,6 +42,11 @@ CASES: dict[str, Case] = {
     "a map of a run": ("run d.log --inputs mine.yaml -o run", "run/fused.pgm", "-o run"),
     "a path of a run": ("run d.log --paths run/graph.tum -o run", "run/graph.tum", "-o run"),
     "a map of several runs": ("run d.log e.log --inputs run/d/fused.yaml -o run", "fused.yaml", ""),
+    "a map of a failed run": (
+        "run d.log e.log --inputs run/d/failed/graph.yaml -o run",
+        "run/d/failed/graph.yaml",
+        "-o run",
+    ),
     "a log": ("slam graph drive.yaml -o drive", "drive.yaml", "-o drive"),
     "a bag": ("slam graph bag -o bag/metadata", "bag/metadata.yaml", "-o bag/metadata"),
     "the true map of a SLAM": ("slam graph d.log --truth-map floor.yaml -o map", "map.pgm", ""),
@@ -94,7 +99,7 @@ CASES: dict[str, Case] = {
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Make every input of the cases."""
     folder = tmp_path_factory.mktemp("made")
-    for name in ("sub", "run/d", "one", "bag", "here/trials", "r/one/b", "data"):
+    for name in ("sub", "run/d/failed", "one", "bag", "here/trials", "r/one/b", "data"):
         (folder / name).mkdir(parents=True)
 
     def save(name: str, image: str, of: str = "map_a") -> None:
@@ -111,6 +116,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     save("run/fused.yaml", "fused.pgm")
     save("run/graph.yaml", "graph.pgm")
     save("run/d/fused.yaml", "fused.pgm")
+    save("run/d/failed/graph.yaml", "graph.pgm")
     save("i.yaml", "i.png")
     save("01-plan.yaml", "01-plan.png")
     save("here/plan.yaml", "real-logs.png")

@@ -5,8 +5,11 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from slamfusion.io import write_tum
+from slamfusion.trajectory import Trajectory
 from tests.cli.command import assert_one_line_failure, json_of, run
 
 # Four poses along a bend, a second apart; the estimate's last place is 0.2 m off to its left.
@@ -15,17 +18,13 @@ ESTIMATE = [*TRUTH[:3], (3.0, 3.0, 0.2, 0.0)]
 
 
 def tum(path: Path, rows: list[tuple[float, float, float, float]]) -> Path:
-    lines = [
-        f"{t} {x} {y} 0 0 0 {math.sin(yaw_rad / 2)} {math.cos(yaw_rad / 2)}"
-        for t, x, y, yaw_rad in rows
-    ]
-    path.write_text("\n".join(lines) + "\n", encoding="ascii")
+    stamps_s, *poses = np.array(rows).T
+    write_tum(path, Trajectory(stamps_s, np.stack(poses, axis=1)))
     return path
 
 
 def table(path: Path, rows: list[tuple[float, ...]]) -> Path:
-    lines = [" ".join(f"{value:.9f}" for value in row) for row in rows]
-    path.write_text("\n".join(lines) + "\n", encoding="ascii")
+    np.savetxt(path, rows, fmt="%.9f")
     return path
 
 

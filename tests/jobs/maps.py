@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 
 from slamfusion.compute import ComputeDevice, open_device
 from slamfusion.config import RunConfig
@@ -26,8 +25,3 @@ def moved(seed: int = 3) -> tuple[OccupancyGrid, OccupancyGrid, Pose2]:
     truth = building(seed)
     grid, pose = degraded(truth, 1, shift_share=(0.1, -0.05), yaw_rad=0.2)
     return truth, grid, pose
-
-
-def files(folder: Path) -> set[str]:
-    """Every file below a folder."""
-    return {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()}

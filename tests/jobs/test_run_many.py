@@ -53,25 +53,6 @@ def test_logs_that_fail_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize("option", ["--truth", "--relations", "--odometry"])
-def test_what_belongs_to_one_log_is_refused_of_several(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], option: str
-) -> None:
-    words = ["run", "a.log", "b.log", "-o", str(tmp_path), option, "file"]
-    assert run_program(words) == 2
-    assert f"{option} belongs to one log" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize("given", ["fused.yaml", "failed/graph.yaml"])
-def test_no_input_is_replaced_by_the_results_of_a_log(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], given: str
-) -> None:
-    out = tmp_path / "out"
-    words = ["run", "a.log", "b.log", "-o", str(out), "--inputs", str(out / "a" / given)]
-    assert run_program(words) == 2
-    assert f"-o {out} would replace the input {out / 'a' / given}" in capsys.readouterr().err
-
-
 @pytest.mark.parametrize(
     ("producers", "words"),
     [("graph", "found that of graph alone; "), ("graph,grph", "did you mean 'graph'?")],
@@ -85,13 +66,6 @@ def test_settings_that_no_log_could_be_run_with_are_refused_once(
     (line,) = printed.err.splitlines()
     assert line.count(words) == 1
     assert printed.out == ""
-
-
-def test_a_scheduler_is_for_several_logs(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert run_program(["run", "a.log", "-o", str(tmp_path), "--scheduler", "local"]) == 2
-    assert "--scheduler is for several logs" in capsys.readouterr().err
 
 
 def test_an_error_of_another_machine_names_it(
