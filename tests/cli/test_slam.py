@@ -82,3 +82,29 @@ def test_scans_that_see_nothing_make_no_map_and_no_file(tmp_path: Path) -> None:
     done = run("slam", "tinyslam", log, "-o", tmp_path / "map")
     assert_one_line_failure(done, "blind.log", "none of 3 scans", "3 x no reading")
     assert set(tree(tmp_path)) == {"blind.log"}
+
+
+@pytest.mark.parametrize(("first", "known"), [(0, 9), (9, 0)])
+def test_a_map_that_is_made_in_parts_is_that_of_one_run(
+    tmp_path: Path, first: int, known: int
+) -> None:
+    """The second part is of the same log, or of one that begins where the state ends."""
+    logs = [write_log(tmp_path / f"{n}.log", room_drive(16)[n:]) for n in (0, first)]
+    settings = ("--device", "numpy", "--particles", "3", "--linearUpdate", "0.2", "--seed", "4")
+    slam, state = ("slam", "gmapping", *settings), tmp_path / "half.state"
+    assert run(*slam, logs[0], "-o", tmp_path / "whole").stderr == ""
+    half = run(*slam, logs[0], "-o", tmp_path / "on", "--stop-after", "9", "--save-state", state)
+    assert "stopped after 9 scans, as asked for" in half.stderr
+    done = run(
+        *slam, logs[1], "-o", tmp_path / "on", "--resume", state, "--report", tmp_path, "--json"
+    )
+    for suffix in (".pgm", ".tum"):
+        assert (tmp_path / f"on{suffix}").read_bytes() == (tmp_path / f"whole{suffix}").read_bytes()
+    (record,) = json_of(done)["producers"]
+    assert (record["scans"], record["known_scans"]) == (16, known)
+    assert record["resumed_from"] == str(state)
+    said = f"slamfusion: gmapping: passed over 9 scans of {logs[0]} that {state} knows\n"
+    assert done.stderr == (said if known else "")
+    # Raw odometry is drawn where its start is known.
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert ("Raw odometry is aligned" in page) == bool(known)
