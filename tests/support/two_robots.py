@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig, WorldConfig
@@ -67,18 +65,13 @@ def drive_through(seed: int, folder: Path, device: ComputeDevice) -> Recording:
 
 
 def cut_drive(recording: Recording, overlap: float) -> Halves:
-    """Cut a simulated drive; see ``cut_scans``."""
-    return cut_scans(recording.scans, recording.truth.poses, overlap)
-
-
-def cut_scans(scans: Sequence[LogScan], poses: npt.NDArray[np.float64], overlap: float) -> Halves:
     """Cut a drive by time into two of one length, which have a share of their way in common.
 
     Args:
-        scans: in the order of time.
-        poses: (N, 3) the best known pose of each; metres, radians.
+        recording: of the whole drive.
         overlap: of each half, below 1.
     """
+    scans, poses = recording.scans, recording.truth.poses
     steps = np.hypot(*np.diff(poses[:, :2], axis=0).T)
     way = np.concatenate(([0.0], np.cumsum(steps)))
     half = way[-1] / (2.0 - overlap)
