@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
 import slamfusion
+from tests.support.fresh import run_python
 
 pytestmark = pytest.mark.once
 
@@ -28,9 +27,7 @@ def test_the_import_loads_nothing_that_is_not_asked_for() -> None:
             f"from slamfusion import {jobs}",
         )
     )
-    done = subprocess.run(
-        [sys.executable, "-c", script], check=True, capture_output=True, text=True, timeout=60
-    )
+    done = run_python(script)
     bare, grid, whole = (set(line.split()) for line in done.stdout.splitlines())
     assert not bare & HEAVY
     assert "numpy" in grid

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+
+from tests.support.fresh import run_python
 
 pytestmark = pytest.mark.once
 
@@ -28,15 +29,13 @@ CORE = {
     "slamfusion.fusion": set[str](),
     "slamfusion.sim": set[str](),
 }
-LINT = "from importlinter.cli import lint_imports_command; lint_imports_command()"
+LINT = "from importlinter.cli import lint_imports_command; lint_imports_command(['--no-cache'])"
 
 
 def test_the_core_loads_no_opencl_plots_or_ros_and_jobs_start_light():
     """Imported one after the other, those that may load least first."""
     script = "import sys\n" + "".join(f"import {name}; print(*sys.modules)\n" for name in CORE)
-    done = subprocess.run(
-        [sys.executable, "-c", script], check=True, capture_output=True, text=True, timeout=60
-    )
+    done = run_python(script)
     for (name, others), loaded in zip(CORE.items(), done.stdout.splitlines(), strict=True):
         assert not set(loaded.split()) & (EDGES | others), name
 
@@ -58,9 +57,7 @@ print(*sys.modules, file=sys.stderr)
 
 
 def test_no_help_loads_numpy_or_what_else_is_slow() -> None:
-    done = subprocess.run(
-        [sys.executable, "-c", HELP], check=True, capture_output=True, text=True, timeout=60
-    )
+    done = run_python(HELP)
     assert "slamfusion node fusion" in done.stdout
     assert not set(done.stderr.split()) & (EDGES | LATE)
 
@@ -68,7 +65,6 @@ def test_no_help_loads_numpy_or_what_else_is_slow() -> None:
 @pytest.mark.skipif(sys.version_info < (3, 11), reason="import-linter needs Python 3.11")
 def test_imports_point_down():
     pytest.importorskip("importlinter", reason="import-linter comes with the dev extra")
-    lint = [sys.executable, "-c", LINT, "--no-cache"]
-    done = subprocess.run(lint, cwd=ROOT, check=False, capture_output=True, text=True, timeout=60)
+    done = run_python(LINT, ROOT)
     assert done.returncode == 0, done.stdout + done.stderr
     assert "0 broken" in done.stdout

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import csv
 import json
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -23,6 +21,7 @@ from slamfusion.trajectory import Trajectory
 from tests.cli.command import MAPS, TRUTH
 from tests.evidence.rooms import bent, circuit, recorded
 from tests.support.documents import check_document
+from tests.support.fresh import run_python
 
 Ask = Callable[..., tuple[int, str, str]]
 
@@ -135,9 +134,7 @@ def test_without_pandas_one_line_says_what_to_install(tmp_path: Path) -> None:
         "import sys; sys.modules['pandas'] = None; from slamfusion.cli.main import main; "
         f"main({words})"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", script], cwd=tmp_path, capture_output=True, text=True, check=False
-    )
+    done = run_python(script, tmp_path)
     assert done.returncode == 1
     assert len(done.stderr.splitlines()) == 1
     assert "need pandas; pip install 'slamfusion[report]'" in done.stderr

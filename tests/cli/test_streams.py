@@ -16,6 +16,7 @@ from slamfusion.fleet import interrupts_held
 from slamfusion.io import write_carmen
 from tests.cli.command import INSTALLED, MAPS, ROOT, server, without_progress
 from tests.slam.drives import drive
+from tests.support.fresh import run_python
 
 TUM = "1 0 0 0 0 0 0 1\n2 1 0 0 0 0 0 1\n3 2 0 0 0 0 0 1\n"
 G2O = "VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0\nEDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\n"
@@ -94,7 +95,7 @@ def test_the_first_process_begins_without_hearing_one_too() -> None:
             resource_tracker.ensure_running()
             print(signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, []))
     """
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    done = run_python(code)
     assert (done.stdout, done.stderr) == ("True\n", "")
 
 

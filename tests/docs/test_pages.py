@@ -7,8 +7,6 @@ import importlib.util
 import re
 import shlex
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import click
@@ -22,6 +20,7 @@ from slamfusion.config import FusionNodeConfig
 from slamfusion.grid import OCCUPIED
 from slamfusion.io import load_map
 from tests.cli.command import ROOT, run
+from tests.support.fresh import run_python
 
 pytestmark = pytest.mark.once
 
@@ -167,8 +166,7 @@ def test_options_in_running_text_are_there() -> None:
 def test_a_program_runs_on_the_bundled_data(tmp_path: Path, written: str) -> None:
     (program,) = (text for _, text in fenced("python") if written in text)
     shutil.copytree(ROOT / "data", tmp_path / "data")
-    command = [sys.executable, "-c", program]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    done = run_python(program, tmp_path)
     assert done.returncode == 0, done.stderr
     truth = load_map(ROOT / "data" / "sample" / "truth.yaml")
     found = (load_map(tmp_path / f"{written}.yaml").cells == OCCUPIED).sum()

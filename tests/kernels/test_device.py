@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -17,6 +14,7 @@ from slamfusion.compute import list_devices, open_device, opencl
 from slamfusion.compute.device import NO_DEVICE, choose_device
 from slamfusion.errors import DeviceError
 from tests.kernels.conftest import POCL, SIMULATOR, WHEELS_EXIST
+from tests.support.fresh import run_python
 
 pytestmark = pytest.mark.once
 
@@ -110,18 +108,6 @@ def test_list_marks_the_simulator():
     assert [info.index for info in list_devices()] == list(range(len(list_devices())))
 
 
-def run(code: str, **environment: str) -> subprocess.CompletedProcess[str]:
-    """Run code in a fresh interpreter."""
-    return subprocess.run(
-        [sys.executable, "-c", code],
-        env=os.environ | environment,
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=False,
-    )
-
-
 def test_no_platform_at_all_is_one_line(tmp_path: Path):
     code = (
         "from slamfusion.compute import list_devices, open_device\n"
@@ -130,7 +116,7 @@ def test_no_platform_at_all_is_one_line(tmp_path: Path):
         "try: open_device()\n"
         "except DeviceError as error: print(error)\n"
     )
-    done = run(code, OCL_ICD_VENDORS=str(tmp_path / "none"))
+    done = run_python(code, OCL_ICD_VENDORS=str(tmp_path / "none"))
     assert (done.returncode, done.stdout.strip()) == (0, NO_DEVICE)
 
 
@@ -144,7 +130,7 @@ def test_without_pyopencl_the_twins_remain():
         "try: open_device()\n"
         "except DeviceError as error: print(error)\n"
     )
-    done = run(hide + code)
+    done = run_python(hide + code)
     assert done.returncode == 0, done.stderr
     assert "pyopencl cannot be imported" in done.stdout
     assert "--device numpy" in done.stdout
@@ -203,12 +189,10 @@ def test_the_single_thread_device_is_for_small_kernels_only(
     ("threads", "of_gmapping"), [("3", "pthread"), ("2", "basic"), ("1", "basic")]
 )
 def test_a_small_producer_and_one_of_few_threads_get_the_single_thread_device_of_the_wheel(
-    monkeypatch: pytest.MonkeyPatch, threads: str, of_gmapping: str
+    threads: str, of_gmapping: str
 ):
     """In a process of its own, since a process lists its devices once."""
-    for name in ("POCL_DEVICES", "PYOPENCL_CTX"):
-        monkeypatch.delenv(name, raising=False)
-    monkeypatch.setenv("POCL_MAX_PTHREAD_COUNT", threads)
+    env = {"POCL_DEVICES": None, "PYOPENCL_CTX": None, "POCL_MAX_PTHREAD_COUNT": threads}
     code = (
         "from slamfusion.compute import list_devices\n"
         "from slamfusion.config import RunConfig\n"
@@ -218,6 +202,6 @@ def test_a_small_producer_and_one_of_few_threads_get_the_single_thread_device_of
         "    print(open_producer_device(name, config).name.split('-')[0])\n"
         "print([one.note for one in list_devices() if one.name.startswith('basic')])\n"
     )
-    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    found = run_python(code, **env)
     assert found.stdout.split("\n")[:3] == ["basic", of_gmapping, "basic"]
     assert "one thread; for many small kernels" in found.stdout

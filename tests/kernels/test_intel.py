@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
 from slamfusion.compute import device as devices
 from tests.kernels.conftest import WHEELS_EXIST
+from tests.support.fresh import run_python
 
 VENDORS = "OCL_ICD_VENDORS"
 needs_intel = pytest.mark.skipif(
@@ -46,19 +45,7 @@ def test_the_loader_sees_what_it_saw_and_intel(
 
 def run(code: str) -> list[str]:
     """Run code in a fresh interpreter, without a variable that helps; return its lines."""
-    environment = {
-        name: value
-        for name, value in os.environ.items()
-        if name not in {"LD_LIBRARY_PATH", VENDORS, "PYOPENCL_CTX"}
-    }
-    done = subprocess.run(
-        [sys.executable, "-c", code],
-        env=environment,
-        capture_output=True,
-        text=True,
-        timeout=300,
-        check=False,
-    )
+    done = run_python(code, LD_LIBRARY_PATH=None, PYOPENCL_CTX=None, **{VENDORS: None})
     assert done.returncode == 0, done.stderr
     return done.stdout.splitlines()
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-import subprocess
-import sys
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -16,9 +15,12 @@ from slamfusion.compute.device import choose_device
 from slamfusion.compute.pocl import FUNCTION_BYTES, SWITCH, WHEEL, PoclState, wheel_library
 from slamfusion.errors import DeviceError
 from tests.kernels.conftest import WHEELS_EXIST
+from tests.support.fresh import run_python
 
 needs_wheels = pytest.mark.skipif(not WHEELS_EXIST, reason="no PoCL wheel here")
 ROOT = Path(__file__).resolve().parents[2]
+# In an interpreter in which PoCL was not loaded yet.
+run = partial(run_python, **{SWITCH: ""})
 FIRST_BYTES = bytes.fromhex("55534883ec08e8058ab003")
 
 # PoCL asks the library's own function. Whatever it says of this processor counts here as not
@@ -71,18 +73,6 @@ assert process.prctl(38, 1, 0, 0, 0) == 0
 if process.prctl(22, 2, ctypes.c_char_p(program)) != 0:
     sys.exit(77)
 """
-
-
-def run(code: str, **environment: str) -> subprocess.CompletedProcess[str]:
-    """Run code in a fresh interpreter, in which PoCL was not loaded yet."""
-    return subprocess.run(
-        [sys.executable, "-c", code],
-        env={**os.environ, SWITCH: "", **environment},
-        capture_output=True,
-        text=True,
-        timeout=300,
-        check=False,
-    )
 
 
 @pytest.mark.once

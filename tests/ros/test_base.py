@@ -1,8 +1,6 @@
 from __future__ import annotations
 
 import logging
-import subprocess
-import sys
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -32,6 +30,7 @@ from slamfusion.ros.base import (
 )
 from slamfusion.ros.messages import to_stamp
 from tests.ros.live import Observer, values
+from tests.support.fresh import run_python
 
 pytestmark = pytest.mark.ros
 
@@ -61,9 +60,8 @@ def test_messages_load_their_types_without_the_generator():
         "from rosidl_generator_py import import_type_support\n"
         "import_type_support('std_msgs'); print(*sys.modules)"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", script], check=True, capture_output=True, text=True, timeout=60
-    )
+    done = run_python(script)
+    assert done.returncode == 0, done.stderr
     assert not set(done.stdout.split()) & {"em", "lark"}
 
 
@@ -263,9 +261,7 @@ base.run_node(Stuck)
 
 @pytest.mark.usefixtures("domain")
 def test_a_node_that_the_middleware_does_not_let_go_ends_all_the_same() -> None:
-    done = subprocess.run(
-        [sys.executable, "-c", STUCK], check=False, capture_output=True, text=True, timeout=50
-    )
+    done = run_python(STUCK)
     assert done.returncode == 1
     assert "in run_node" in done.stderr
 
