@@ -1,4 +1,4 @@
-"""Motions: lattice form and back, how far apart two are, and which of many are distinct."""
+"""Motions: of transforms and back, how far apart two are, and which of many are distinct."""
 
 from __future__ import annotations
 
@@ -9,7 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from slamfusion.align.pair import both_ways, displacement, distinct
+from slamfusion.align.pair import Pair, both_ways, displacement, distinct
+from slamfusion.compute import ComputeDevice
+from slamfusion.geometry import Pose2, wrap_angle
+from tests.fusion.drawings import features_of, random_grid, with_origin
 
 # Farther than a rounding from any multiple of what the motions below are made of.
 SHIFT, TURN = 1.1, 0.07
@@ -67,3 +70,28 @@ def test_the_ways_land_the_centre_and_undo_each_other() -> None:
 def test_displacement_wraps_the_turn() -> None:
     a, b = np.array([0.0, 0.0, math.pi - 0.1]), np.array([3.0, 4.0, -math.pi + 0.1])
     assert displacement(a, b) == pytest.approx((5.0, 0.2))
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_transform_is_one_motion_and_the_motion_is_that_transform(
+    device: ComputeDevice, seed: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    transform, here, there = (
+        Pose2(*rng.uniform(-50.0, 50.0, 2), rng.uniform(-math.pi, math.pi)) for _ in range(3)
+    )
+    ref = features_of(with_origin(random_grid(1), here), device)
+    mov = features_of(with_origin(random_grid(2), there), device)
+    motion = Pair(ref, mov).motion_of(transform)
+    back = Pair(ref, mov).transform_of(motion)
+    assert (back.x, back.y) == pytest.approx((transform.x, transform.y), abs=1e-8)
+    assert abs(wrap_angle(back.yaw_rad - transform.yaw_rad)) < 1e-9
+    # By definition: where the middle of the moving grid comes to lie on the reference's lattice.
+    middle = mov.grid.grid.origin.transform(np.array(mov.centre) * 0.1)
+    landed = ref.grid.grid.origin.inverse().transform(transform.transform(middle))
+    assert motion[:2] == pytest.approx(np.array(landed) / 0.1, abs=1e-6)
+
+
+def test_a_map_on_itself_is_its_own_middle_without_a_turn(device: ComputeDevice) -> None:
+    grid = features_of(with_origin(random_grid(1), Pose2(3.0, -4.0, 0.7)), device)
+    assert Pair(grid, grid).motion_of(Pose2()) == pytest.approx([*grid.centre, 0.0])

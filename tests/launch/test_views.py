@@ -1,4 +1,4 @@
-"""RViz configuration, Foxglove layout and node graph show topics and frames that we have."""
+"""RViz, Foxglove, node graph and parameter file show topics, frames and settings that we have."""
 
 from __future__ import annotations
 
@@ -11,9 +11,10 @@ import yaml
 
 from docs.generate.marks import COMMAND, PICTURE
 from docs.generate.picture import node_picture
+from docs.generate.ros import parameter_file
 from slamfusion.config import FusionNodeConfig
 from slamfusion.palette import NAMED
-from slamfusion.ros.interface import PRODUCERS, TOPICS
+from slamfusion.ros.interface import NODES, PRODUCERS, TOPICS
 from tests.cli.command import ROOT
 
 SCRIPTS = ROOT / "launch_scripts"
@@ -107,3 +108,11 @@ def test_every_panel_of_the_foxglove_layout_is_placed(foxglove: dict[str, Any]):
             yield from placed(item["second"])
 
     assert set(placed(foxglove["layout"])) == set(foxglove["configById"])
+
+
+def test_the_parameter_file_is_up_to_date():
+    wanted = parameter_file()
+    assert (SCRIPTS / "slamfusion.yaml").read_text() == wanted, f"run: {COMMAND}"
+    nodes = {key.rpartition("/")[2]: value for key, value in yaml.safe_load(wanted).items()}
+    assert tuple(nodes) == NODES
+    assert all(value["ros__parameters"] for value in nodes.values())
