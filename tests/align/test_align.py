@@ -82,7 +82,6 @@ def test_the_yaw_profile_is_of_the_transform(device: ComputeDevice) -> None:
     truth = building(4, 11.0, 9.0)
     moving, pose = degraded(truth, 1, yaw_rad=2.0, origin_yaw_rad=0.8)
     profile = align_grids(truth, moving, QUICK, device).yaw_profile
-    assert profile is not None
     assert np.all(np.diff(profile[:, 0]) > 0)
     best = float(profile[profile[:, 1].argmax(), 0])
     assert abs(wrap_angle(best - pose.yaw_rad)) < math.radians(4.0)
@@ -96,7 +95,6 @@ def test_a_square_room_is_ambiguous(device: ComputeDevice, flips: float) -> None
     if not flips:
         away = with_origin(room.with_name("away"), Pose2(30.0, 4.0, 0.7))
     found = align_grids(room, away, QUICK, device)
-    assert found.runner_up is not None
     assert found.runner_up.ratio > 0.95
     turn = wrap_angle(found.runner_up.transform.yaw_rad - found.transform.yaw_rad)
     quarters = turn / (math.pi / 2)

@@ -66,7 +66,6 @@ def test_recorded_pairs_are_decided_as_they_were(
     device: ComputeDevice, pair: dict[str, str]
 ) -> None:
     case = drafts(pair["kind"], int(pair["seed"]))[pair["name"]].draw()
-    assert case is not None
     found = align_grids(case.reference, case.moving, fusion_config(), device)
     assert found.accepted == (pair["decision"] == "accepted"), found.reason
     assert not found.accepted or case.is_right(found.transform), found.reason

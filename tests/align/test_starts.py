@@ -43,13 +43,11 @@ def quarter_turned(quarter: int) -> Pose2:
 def test_two_starts_give_the_motion_between_two_frames_and_the_sum_of_tolerances() -> None:
     starts = Starts({"a": A, "b": B})
     found = starts.between("a", "b")
-    assert found is not None
     point = (2.0, -1.0)
     in_world = B.pose.transform(point)
     assert tuple(A.pose.transform(found.pose.transform(point))) == pytest.approx(tuple(in_world))
     assert (found.metres, found.radians) == pytest.approx((1.5, 0.3))
     back = starts.between("b", "a")
-    assert back is not None
     assert back.pose.compose(found.pose).x == pytest.approx(0.0)
     assert back.pose.yaw_rad == pytest.approx(-found.pose.yaw_rad)
     assert (back.metres, back.radians) == (found.metres, found.radians)

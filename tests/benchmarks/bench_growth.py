@@ -172,7 +172,6 @@ def measured(words: Sequence[str]) -> tuple[float, float]:
     """Run the command; return its processor time in seconds and its peak of memory in MiB."""
     command = [sys.executable, "-m", "slamfusion", *words, "--json"]
     with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) as process:
-        assert process.stderr is not None
         said = process.stderr.read().decode()
         _, status, usage = os.wait4(process.pid, 0)
         process.returncode = os.waitstatus_to_exitcode(status)

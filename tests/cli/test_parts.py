@@ -215,7 +215,6 @@ def test_option_names_are_unique(command: click.Command) -> None:
 def gmapping_help() -> dict[str, str]:
     """The help of every option of ``slam gmapping``, by name."""
     command = slam.command.get_command(click.Context(slam.command), "gmapping")
-    assert command is not None
     options = [item for item in command.params if isinstance(item, click.Option)]
     return {name: item.help or "" for item in options for name in item.opts}
 
@@ -238,7 +237,6 @@ def test_only_producers_that_can_go_on_have_the_options_for_it() -> None:
     context = click.Context(slam.command)
     for name in BUILT_IN:
         command = slam.command.get_command(context, name)
-        assert command is not None
         offered = {option for parameter in command.params for option in parameter.opts}
         able = producer(name).load is not None
         assert wanted & offered == (wanted if able else set())

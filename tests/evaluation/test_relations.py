@@ -141,7 +141,6 @@ def test_relations_at_scans_are_those_with_a_scan_at_both_ends() -> None:
     stamps[12] += 1e-6  # the digits of a file
     motions[13:, 0] += 0.3
     found = errors_at_scans(path, Relations(stamps, motions))
-    assert found is not None
     assert (found.relations_used, found.relations_total) == (8, 20)
     assert found.translation_m == pytest.approx([0.0] + [0.3] * 7)
     document = plain(found)

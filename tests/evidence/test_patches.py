@@ -20,7 +20,6 @@ def match(mapped: F64, seen: F64, at: F64, expected: F64) -> ScanMatch:
     walls = WallMap.of(judged_scans(recorded(truth, walls=mapped)), truth, np.zeros((3, 3)))
     (item,) = recorded(Trajectory(np.zeros(1), at[None], "scan"), walls=seen, seed=1)
     scan = next(scan_hits([item]))
-    assert walls is not None
     assert scan is not None
     return walls.match([scan], expected[None], np.diag(SIGMAS**2))
 

@@ -86,7 +86,6 @@ def test_where_the_odometry_is_nearer_the_path_is_sought_from_it(
     truth, given = circuit(), far_off()
     evidence = score_paths(scans, {"given": given}, device)
     # Its frame is another one, and its places are those of a wheel that is a little too large.
-    assert scans.driven is not None
     elsewhere = replace(scans, driven=scans.driven.moved(Pose2(30.0, -4.0, 2.0)))
     evidence = replace(evidence, scans=elsewhere)
     path, with_refined, found = refine_borne_out(evidence, given)

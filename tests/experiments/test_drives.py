@@ -27,7 +27,6 @@ CSAIL = DATASETS / "mit-csail"
 def shifted(drive_name: str = "room") -> Trajectory:
     """The truth of the room with its last pose 0.3 m off."""
     truth = room(drive_name).ground_truth.truth
-    assert truth is not None
     poses = truth.poses.copy()
     poses[-1, 0] += 0.3
     return Trajectory(truth.stamps_s, poses)
@@ -48,7 +47,6 @@ def test_only_what_is_known_is_measured() -> None:
 def test_odometry_carries_poses_to_relations_between_the_scans() -> None:
     # The odometry of the room is the truth.
     drive, whole = room(), room().ground_truth.truth
-    assert whole is not None
     estimate = Trajectory(whole.stamps_s[::3], whole.poses[::3])
     held = replace(drive.ground_truth, odometry=whole, scans=estimate)
     every_third = replace(drive, ground_truth=held)
@@ -59,7 +57,6 @@ def test_odometry_carries_poses_to_relations_between_the_scans() -> None:
 
 def test_a_drive_is_read_from_its_files(tmp_path: Path) -> None:
     drive = room()
-    assert drive.ground_truth.truth is not None
     write_carmen(tmp_path / "room.log.gz", drive.scans)
     write_tum(tmp_path / "truth.tum", drive.ground_truth.truth)
     (tmp_path / "room.relations").write_text("0.0 1.1 0.5 0 0 0 0 0.2\n", encoding="utf-8")
@@ -74,13 +71,10 @@ def test_a_drive_is_read_from_its_files(tmp_path: Path) -> None:
     )
     assert found.name == "room"
     assert len(found.scans) == 12
-    assert found.ground_truth.relations is not None
     assert len(found.ground_truth.relations) == 1
-    assert found.ground_truth.truth is not None
     np.testing.assert_allclose(
         found.ground_truth.truth.poses, drive.ground_truth.truth.poses, atol=1e-8
     )
-    assert found.ground_truth.odometry is not None
     assert len(found.ground_truth.odometry) == 12
 
 

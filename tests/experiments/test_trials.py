@@ -142,7 +142,6 @@ def test_where_no_two_maps_agree_the_fallback_map_counts_alone() -> None:
     config = replace(RunConfig(), fusion=fusion_config())
     fused = vote_every_way(grids, paths, config, device, notes)
     (grid,) = {id(item): item for item in fused.values()}.values()
-    assert grid is not None
     assert notes["majority"].startswith(f"{grid.name} alone: no two of the inputs")
     assert vote_every_way([], {}, config, device, notes) == dict.fromkeys(FUSIONS)
 

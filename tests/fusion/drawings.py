@@ -98,7 +98,6 @@ def padded(grid: OccupancyGrid, south: int, west: int, north: int, east: int) ->
 def off_by(moving: OccupancyGrid, found: Pose2, wanted: Pose2) -> tuple[float, float]:
     """Return how far the centre of the moving known box is off, in cells, and the yaw in deg."""
     box = moving.known_box
-    assert box is not None
     size = moving.resolution
     own = ((box.col0 + box.col1) / 2 * size, (box.row0 + box.row1) / 2 * size)
     centre = moving.origin.transform(own)

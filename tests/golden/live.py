@@ -146,7 +146,6 @@ class Player:
 
     def _restart(self) -> None:
         state = self._fusion.state()
-        assert state is not None
         kept = state.to_bytes()
         self.said.append(f"kept {len(state.transforms)} transforms, {_cells(state.fused.cells)}")
         self._begin()

@@ -45,7 +45,6 @@ def read(bag: Bag, folder: Path, kind: str = "mcap", **config: Any) -> tuple[Bag
 
 
 def assert_pose(found: Pose2 | None, x: float, y: float, yaw_rad: float) -> None:
-    assert found is not None
     assert (found.x, found.y, found.yaw_rad) == pytest.approx((x, y, yaw_rad), abs=1e-6)
 
 
@@ -101,7 +100,6 @@ def test_scans_without_odometry_in_reach_are_counted_skips(tmp_path: Path) -> No
 def test_the_heading_between_poses_turns_the_short_way(tmp_path: Path) -> None:
     bag = Bag().odometry(10.0, (0.0, 0.0, 3.0)).odometry(10.4, (0.0, 0.0, -3.0)).scan(10.1)
     (scan,) = read(bag, tmp_path)[1]
-    assert scan.odometry is not None
     assert scan.odometry.yaw_rad == pytest.approx(3.0 + 0.25 * (2.0 * math.pi - 6.0))
 
 
@@ -365,7 +363,6 @@ def test_of_several_robots_the_one_of_the_scans_is_read(
 ) -> None:
     (item,) = BagLog(two_robots().write(tmp_path), LogConfig(scan_topic=f"/{name}/scan"))
     assert item.scan.mount.x == pytest.approx(ahead)
-    assert item.odometry is not None
     assert item.odometry.x == pytest.approx(x)
 
 

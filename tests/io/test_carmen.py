@@ -296,8 +296,6 @@ def logged_scans(draw: st.DrawFn) -> list[LogScan]:
 
 
 def assert_same_pose(found: Pose2 | None, wanted: Pose2 | None) -> None:
-    assert found is not None
-    assert wanted is not None
     assert (found.x, found.y) == pytest.approx((wanted.x, wanted.y), abs=1e-6)
     assert wrap_angle(found.yaw_rad - wanted.yaw_rad) == pytest.approx(0.0, abs=1e-6)
 

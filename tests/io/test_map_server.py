@@ -495,7 +495,6 @@ def test_scale_writes_the_greys_of_nav2(tmp_path: Path) -> None:
     # Read from what GraphicsMagick 1.3.40 writes for nav2's saver.
     save_map(grid_of([[0, 2, 4, 40, 50, 99, 100, -1]]), tmp_path / "out", mode="scale")
     pixels = cv2.imread(str(tmp_path / "out.png"), cv2.IMREAD_UNCHANGED)
-    assert pixels is not None
     assert pixels[0, :, 0].tolist() == [255, 249, 244, 153, 127, 2, 0, 127]
     assert pixels[0, :, 3].tolist() == [255] * 7 + [0]
 

@@ -30,7 +30,6 @@ def test_a_log_has_its_rate_its_gaps_and_its_odometry(tmp_path: Path) -> None:
     ]
     write_carmen(tmp_path / "drive.log", [*scans[:10], *late])
     found = describe(tmp_path / "drive.log").log
-    assert found is not None
     step_s = scans[1].scan.stamp_s - scans[0].scan.stamp_s
     assert (found.scans, found.gaps) == (20, 1)
     assert found.rate_hz == pytest.approx(1.0 / step_s, rel=1e-3)
@@ -63,7 +62,6 @@ def test_stamps_out_of_order_are_counted(tmp_path: Path) -> None:
     again = [line for line in lines if "LASER" in line.split()[0]][5]
     path.write_text("\n".join([*lines, again]), encoding="ascii")
     found = describe(path).log
-    assert found is not None
     assert (found.scans, found.out_of_order) == (20, 1)
     assert 8.0 < found.run_time_s < 9.0
     assert found.run_memory_mb > 100.0
@@ -80,7 +78,6 @@ def test_a_bag_has_the_frames_of_its_laser_and_transforms(tmp_path: Path) -> Non
     assert describe(tmp_path / "one").log is not None
     for path in (folder, folder / "metadata.yaml", *folder.glob("*.db3")):
         found = describe(path).log
-        assert found is not None
         assert found.frames == ["/scan in laser", "odom > base_link", "base_link > laser"]
 
 

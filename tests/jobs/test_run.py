@@ -68,14 +68,12 @@ def test_the_main_job_from_a_log_to_files(
     assert (whole[0], round(whole[-1], 2)) == (0, 0.92)  # the report follows
     assert [grid.name for grid in run.grids] == ["tinyslam", "graph"]
     assert run.error is None
-    assert run.grid is not None
     saved = save_run(run, tmp_path / "out")
     check_document(plain(saved), "run")
     assert saved.folder == tmp_path / "out"
     wanted = ["producers", "evidence", "path", "fusion", "drawing", "errors", "report"]
     assert list(saved.stages_s) == wanted
     answer = run.recommendation
-    assert answer is not None
     assert saved.recommendation is answer
     assert (answer.use, answer.path) == ("fused", "fused")
     assert answer.best_single in {"tinyslam", "graph"}
@@ -92,7 +90,6 @@ def test_the_main_job_from_a_log_to_files(
 
 def assert_all_that_is_doubtful_is_told(run: LogRun) -> None:
     """Of several logs as of one: what the job says of this run, had it gone less well."""
-    assert run.usable is not None
     first, second = run.usable.inputs
     left_out = [
         replace(first, accepted=False, reason="it fits nothing"),
@@ -135,14 +132,10 @@ def assert_path_and_drawing_lie_on_the_fused_map(run: LogRun, out: Path) -> None
     # Near the producers' paths as these were laid into it.
     path = read_trajectory(out / "fused.tum")
     told = run.fused_path
-    assert told is not None
     assert told.file == out / "fused.tum"
     assert (told.poses, set(told.trust)) == (32, {"tinyslam", "graph"})
     assert max(told.trust.values()) == 1.0
-    assert told.measures.truth is not None
     assert told.measures.truth.ate.rmse < 0.05
-    assert run.usable is not None
-    assert run.grid is not None
     for record in run.usable.accepted:
         made = run.results[record.name].run.trajectory
         if record.alignment is not None:
@@ -152,9 +145,7 @@ def assert_path_and_drawing_lie_on_the_fused_map(run: LogRun, out: Path) -> None
     # The drawn map lies on the lattice of the fused one, and shows the same place.
     drawn = load_map(out / "drawn.yaml")
     written = run.drawn_map
-    assert written is not None
     assert written.file == out / "drawn.yaml"
-    assert written.wall_thickness_m is not None
     assert written.wall_thickness_m.median < 0.2
     assert drawn.resolution == run.grid.resolution
     normalize = run.made_with.config.fusion.normalize
@@ -193,14 +184,12 @@ def test_a_saved_map_is_searched_around_its_start_in_the_frame_of_the_drive(
     Where it fits it votes beside the drawn map, which keeps all that it knows.
     """
     drawn = told_run[0].drawn_map
-    assert drawn is not None
     grid = drawn.grid
     moved = Pose2(6.0, -2.0, 1.0)
     save_map(replace(grid, origin=moved.compose(grid.origin)), place / "saved")
     right = moved.inverse()
     config = replace(TWO, start={"saved": (right.x + 0.5, right.y, right.yaw_rad)})
     run = run_log(place / "flat.log", config, saved_maps=[place / "saved.yaml"])
-    assert run.usable is not None
     became = {record.name: record.accepted for record in run.usable.inputs}
     assert became == {"tinyslam": True, "graph": True, "saved": True}
     assert (run.fused_mode, run.why_voted, run.drawn_map) == ("drawn", None, None)
@@ -228,14 +217,11 @@ def test_a_saved_map_brings_its_path(place: Path, tmp_path: Path) -> None:
         saved_paths=[CaseFile(tmp_path / "karto" / "poses.tum")],
     )  # fmt: skip
     assert not run.not_measured
-    assert run.recommendation is not None
     assert {path.name for path in run.recommendation.paths} == {"graph", "map", "fused"}
     assert run.recommendation.best_single in {"graph", "map"}
     # With one producer alone there would be no fused path, and nothing to draw at.
-    assert run.fused_path is not None
     assert set(run.fused_path.trust) == {"graph", "map"}
     assert run.fused_mode == "drawn"
-    assert run.usable is not None
     assert set(run.usable.weights) == {"drawn"}, "its path holds all that its map knows"
     (gap,) = run.fusion.gaps
     assert {gap.a, gap.b} == {"graph", "map"}
@@ -244,7 +230,6 @@ def test_a_saved_map_brings_its_path(place: Path, tmp_path: Path) -> None:
     check_document(plain(saved), "run")
     (told,) = saved.saved_paths
     assert (told.name, told.poses) == ("map", 11)
-    assert told.measures.truth is not None
     assert told.measures.truth.ate.rmse == pytest.approx(0.0, abs=1e-6)
     own = next(item for item in saved.path_evidence if item.name == "map")
     assert own.own_poses_share == pytest.approx(1.0 / 3.0, abs=0.05)
@@ -268,7 +253,6 @@ def test_a_mirrored_path_of_a_saved_map_is_named(tmp_path: Path) -> None:
         saved_maps=[tmp_path / "karto.yaml"],
         saved_paths=[CaseFile(tmp_path / "karto.tum")],
     )
-    assert run.recommendation is not None
     assert run.recommendation.path == "tinyslam"
     assert "karto: the path is mirrored: negate its y and yaw" in run.sentences()
     assert run.recommendation.laser_fault is None
@@ -290,7 +274,6 @@ def test_a_path_that_cannot_be_used_is_told_and_the_map_votes(tmp_path: Path) ->
         lambda name, why: troubles.append(f"{name}: {why}"),
     )
     assert reason is None
-    assert found is not None
     assert set(found.scores) == {"graph", "whole"}
     assert set(paths) == {"graph", "whole"}
     assert found.scores["graph"].consistency == evidence.scores["graph"].consistency

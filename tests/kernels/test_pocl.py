@@ -131,7 +131,6 @@ def test_a_library_that_must_not_be_changed_stays_as_it_is(name: str, tmp_path: 
 def _change_function(package: Path) -> None:
     """Copy the library to a package, with another last byte of the function."""
     library = wheel_library()
-    assert library is not None
     (package / ".libs").mkdir(parents=True)
     (package / "__init__.py").touch()
     needed = library.parents[2] / "pocl_binary_distribution"

@@ -29,7 +29,6 @@ def pixels(figure: Any) -> npt.NDArray[np.uint8]:
     """RGB of a figure, (H, W, 3), row 0 at the top."""
     png = np.frombuffer(to_form(figure, "png"), dtype=np.uint8)
     image = cv2.imdecode(png, cv2.IMREAD_COLOR)
-    assert image is not None
     return np.asarray(image[..., ::-1], dtype=np.uint8)
 
 

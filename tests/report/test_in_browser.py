@@ -55,7 +55,6 @@ def test_every_picture_decodes_and_no_name_runs(report: Path, page: Any) -> None
 
 def test_the_page_is_not_blank(page: Any) -> None:
     image = cv2.imdecode(np.frombuffer(page.screenshot(), np.uint8), cv2.IMREAD_COLOR)
-    assert image is not None
     assert image.shape[1] == 1360
     assert len(colours_of(image)) > 200
     # The headline's bar is drawn in the colour of a warning: one input was rejected.
@@ -94,10 +93,8 @@ def test_layers_are_shown_compared_and_asked(page: Any) -> None:
     page.keyboard.press("0")
     page.keyboard.press("ArrowLeft")
     found = re.match(r"x (-?[\d.]+) m", page.text_content("#cell"))
-    assert found is not None
     page.keyboard.press("ArrowRight")
     again = re.match(r"x (-?[\d.]+) m", page.text_content("#cell"))
-    assert again is not None
     assert float(found[1]) < float(again[1])
 
     # Two maps against each other: a wall of both.

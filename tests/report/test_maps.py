@@ -37,7 +37,6 @@ def test_an_unknown_map_has_no_overlay() -> None:
 def test_the_overlay_of_a_rejected_pair_is_marked() -> None:
     found = alignment("a", "b", accepted=False)
     picture = pair_overlay(shown("a", 1), shown("b", 2), found, COLOURS)
-    assert picture is not None
     assert picture.badge == "rejected"
     assert picture.legend == COLOURS
 

@@ -103,7 +103,6 @@ def fused_without_ros(grids: Mapping[str, Grid] | None = None) -> Grid:
     for grid in (grids or three()).values():
         live.put(grid.name, grid, 0.0)
     update = live.update(0.0)
-    assert update is not None
     assert update.fused is not None
     return update.fused
 

@@ -67,12 +67,10 @@ def test_the_map_is_that_of_the_producer_and_read_once(kind: str, is_drawn_aside
     for item in bench.scans:
         step = alone.feed(item.scan, item.odometry)
         answer = session.feed(bench.queued(bench.scans.index(item)))
-        assert answer is not None
         assert answer.pose == step.pose_map_base
         assert answer.odometry == item.odometry
     assert session.snapshot.unmapped == len(bench.scans)
     made = session.read_map(is_path_heard=True, is_paused=True)
-    assert made is not None
     assert made.stamp_s == bench.scans[-1].scan.stamp_s
     assert made.trajectory is not None
     assert np.array_equal(session.draw(made).cells, alone.grid().cells)
@@ -104,13 +102,10 @@ def test_a_path_that_nobody_heard_is_read_for_the_first_who_listens() -> None:
     bench = Bench("graph")
     bench.feed(*range(6))
     silent = bench.session.read_map(is_path_heard=False, is_paused=False)
-    assert silent is not None
     assert silent.trajectory is None
     assert bench.session.snapshot.is_path_due
     assert bench.session.read_map(is_path_heard=False, is_paused=False) is None
     heard = bench.session.read_map(is_path_heard=True, is_paused=False)
-    assert heard is not None
-    assert heard.trajectory is not None
     assert len(heard.trajectory) == 6
     assert not bench.session.snapshot.is_path_due
 
@@ -136,7 +131,6 @@ def test_a_scan_sent_again_is_answered_again_and_an_older_one_is_not() -> None:
     bench = Bench("tinyslam")
     bench.feed(0, 1, 2)
     again = bench.session.feed(bench.queued(2))
-    assert again is not None
     assert (again.pose, again.is_new) == (bench.session.snapshot.pose, False)
     assert bench.session.feed(bench.queued(1)) is None
     assert bench.session.snapshot.fed == 3
@@ -152,7 +146,6 @@ def test_scans_before_the_first_odometry_are_left_out_and_later_ones_are_not() -
     bench.feed(1)
     assert not session.is_before_odometry
     answer = session.feed(bench.queued(2, odometry=lambda _: None))
-    assert answer is not None
     assert answer.odometry is None
     assert session.snapshot.without_odometry == 2
     free = Bench("tinyslam", wants_odometry=False)
@@ -202,7 +195,5 @@ def test_a_new_map_begins_with_its_first_scan_and_old_ones_are_not_fed() -> None
     assert session.snapshot.fed_s == bench.scans[0].scan.stamp_s
     assert session.snapshot.fed == 3, "counts go on"
     made = session.read_map(is_path_heard=True, is_paused=False)
-    assert made is not None
     assert made.generation == 1
-    assert made.trajectory is not None
     assert len(made.trajectory) == 1

@@ -72,7 +72,6 @@ def decide(maps: Mapping[str, I8], mode: FusionMode = "consensus") -> tuple[Trus
     if voter.weighs:
         voter = voter.trusting(voter.count(whole, shown))
     decided = voter.decide(whole, shown, NumpyDevice())
-    assert decided is not None
     return voter.trust, decided.fused
 
 

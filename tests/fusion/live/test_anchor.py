@@ -45,7 +45,6 @@ def turn(grid: OccupancyGrid) -> Pose2:
 
 def known_on(fused: OccupancyGrid | None, before: OccupancyGrid) -> np.ndarray:
     """Return which cells of a fused map of before are known now."""
-    assert fused is not None
     return np.asarray(on_lattice(fused, before) >= 0)
 
 
@@ -71,8 +70,6 @@ def grow(drive: Drive, names: str, *halves_m: float) -> None:
 def assert_in_frame(drive: Drive, name: str, grid: OccupancyGrid, before: Pose2 | None) -> None:
     """Check that a map that has turned since lies where it lay before."""
     after = drive.input(name).transform
-    assert before is not None
-    assert after is not None
     right = before.compose(turn(grid).inverse())
     shift, degrees = off_by(moved_frame(grid, turn(grid)), after, right)
     assert shift < 1.0, name
@@ -129,7 +126,6 @@ def test_two_young_maps_take_nothing_from_what_the_third_knows(device: ComputeDe
 def test_a_place_that_changed_leaves_the_frame_where_it_is(device: ComputeDevice) -> None:
     drive = begun_anew(device, "b", minimum_inputs=1)
     before, fused = drive.input("b").transform, drive.fused
-    assert fused is not None
     changed = three()["b"]
     for _ in range(2):
         drive.step(littered(young(changed, 4.0), 1, 0.9))
@@ -137,5 +133,4 @@ def test_a_place_that_changed_leaves_the_frame_where_it_is(device: ComputeDevice
     assert drive.accepted() == "b"
     reason = "the reference; the place is not as it was in the last fused map"
     assert drive.input("b").reason == reason
-    assert drive.fused is not None
     assert share_standing(fused, drive.fused) > 0.95

@@ -53,8 +53,6 @@ def test_a_jump_is_confirmed_within_seconds_though_no_map_comes(
 ) -> None:
     drive = started(device, search_pause_s=pause_s)
     first, last = drive.fused, drive.input(name).transform
-    assert first is not None
-    assert last is not None
     again = moved_frame(three()[name], AWAY)
     drive.step(again)
     assert "jumped by" in drive.input(name).reason
@@ -62,11 +60,9 @@ def test_a_jump_is_confirmed_within_seconds_though_no_map_comes(
     assert wait(drive, 2.0) == math.inf, "not at once"
     assert wait(drive, 2.0) <= 2.0, drive.input(name).reason
     found = drive.input(name).transform
-    assert found is not None
     shift, turn = off_by(again, found, last.compose(AWAY.inverse()))
     assert shift < 1.0
     assert turn < 0.5
-    assert drive.fused is not None
     assert_same_lattice(first, drive.fused)
     assert share_standing(first, drive.fused) > 0.97
 
@@ -83,8 +79,6 @@ def test_a_jump_of_the_only_input_left_is_confirmed_by_the_last_fused_map(
     for _ in range(5):
         drive.maybe()
     assert drive.accepted() == "b", drive.input("b").reason
-    assert first is not None
-    assert drive.fused is not None
     assert share_standing(drive.fused, first) > 0.97
 
 
@@ -126,7 +120,6 @@ def test_implausible_numbers_are_refused_by_name_and_the_others_go_on(
 ) -> None:
     drive = started(device)
     first = drive.fused
-    assert first is not None
     tracemalloc.start()
     update = drive.step(bad, touched(three()["a"], 1))
     _, peak = tracemalloc.get_traced_memory()
@@ -134,7 +127,6 @@ def test_implausible_numbers_are_refused_by_name_and_the_others_go_on(
     assert words in drive.input("b").reason
     assert drive.accepted() == "ac"
     assert drive.input("b").messages.rejected == 1
-    assert update.fused is not None
     assert update.fused.cells.shape == first.cells.shape
     assert update.fused.origin == first.origin
     assert peak < 20 * MEGABYTE
@@ -159,8 +151,6 @@ def test_an_origin_that_jumps_by_10_km_takes_no_memory_and_is_followed(
     assert peak < 30 * MEGABYTE
     assert drive.accepted() == "ac"
     assert wait(drive, 5.0) <= 4.0
-    assert first is not None
-    assert drive.fused is not None
     assert drive.fused.cells.shape == first.cells.shape
     assert drive.fused.origin == first.origin
     assert share_standing(first, drive.fused) > 0.97
@@ -256,7 +246,6 @@ def test_poses_that_contradict_the_others_take_the_vote_while_that_lasts(
     for stamp in range(10, 15):
         tell(drive, float(stamp), a=0.0, b=7.0, c=-0.1)
     update = drive.maybe()
-    assert update is not None
     assert drive.accepted() == "ac"
     assert "poses contradict those of a, c: 7.0 m" in drive.input("b").reason
     assert update.fused is not None
@@ -289,8 +278,6 @@ def test_who_goes_wrong_half_way_leaves_nothing_in_the_fused_map_while_it_lasts(
     alone = started(device)
     alone.live.drop("b", "it is left out")
     alone.step()
-    assert drive.fused is not None
-    assert alone.fused is not None
     assert np.array_equal(drive.fused.cells, alone.fused.cells)
     # It has its vote again when it is right again.
     for stamp in range(15, 20):
@@ -318,8 +305,6 @@ def test_of_two_whose_poses_contradict_neither_votes_and_the_last_map_stays(
         tell(drive, float(stamp), a=0.0, b=0.1)
     update = drive.step()
     assert drive.accepted() == "ab"
-    assert first is not None
-    assert update.fused is not None
     assert_same_lattice(first, update.fused)
     # When one of two that contradict each other is lost, the other goes on.
     for stamp in range(20, 25):

@@ -53,7 +53,6 @@ class Follower:
                 if len(self.waiting) > LATE or not count:
                     self.frame.correct(*self.waiting.popleft())
             moved = self.frame.move(self.now_s, self.odometry, *self.speeds)
-            assert moved is not None
             here = moved.compose(self.odometry)
             if before is not None:
                 jump = before.compose(self.odometry).inverse().compose(here)
@@ -115,7 +114,6 @@ def test_a_turn_far_from_the_origin_of_the_odometry_moves_the_robot_little() -> 
     assert frame.move(0.0, odometry, M_S, RAD_S) is not None
     frame.correct(0.1, Pose2(1.0, 1.0, 0.1), odometry)
     moved = frame.move(0.1, odometry, M_S, RAD_S)
-    assert moved is not None
     assert tuple_of(moved.compose(odometry)) == pytest.approx((1.0, 1.0, 0.02))
 
 
@@ -157,7 +155,6 @@ def test_odometry_that_starts_again_at_its_origin_does_not_move_the_robot() -> N
     frame.move(0.0, odometry, M_S, RAD_S)
     for number in range(3):
         moved = frame.move(0.1 + 0.1 * number, Pose2(), M_S, RAD_S)
-        assert moved is not None
         assert tuple_of(moved.compose(Pose2())) == pytest.approx((1.0, 2.0, 0.5))
     # Its last pose is revised by as much as if the origin had stayed.
     assert frame.posed[0] == 0.0

@@ -87,10 +87,8 @@ def test_the_map_drawn_from_scans_takes_the_vote_of_those_it_was_drawn_by(
 ) -> None:
     drive = started(device)
     before = drive.fused
-    assert before is not None
     drawn = shifted(before, 3)
     tell(drive, drawn=drawn)
-    assert drive.fused is not None
     assert_same_lattice(before, drive.fused)
     assert np.array_equal(on_lattice(drive.fused, drawn), drawn.cells)
     cells = drawn.cells.copy()
@@ -105,13 +103,11 @@ def test_the_map_drawn_from_scans_takes_the_vote_of_those_it_was_drawn_by(
 def test_a_map_without_poses_votes_next_to_the_drawn_one(device: ComputeDevice) -> None:
     drive = started(device)
     before = drive.fused
-    assert before is not None
     lattice, transforms = place_of(drive)
     half = before.crop(CellBox(0, 0, before.height, before.width // 2)).with_name("drawn")
     del transforms["c"]
     drive.live.put_evidence(Evidence(transforms, {}, lattice, half))
     drive.step()
-    assert drive.fused is not None
     # What the drawn map has not seen is known by c.
     assert drive.fused.width > half.width + before.width // 4
 
@@ -128,7 +124,6 @@ def test_the_map_drawn_first_gives_the_frame(device: ComputeDevice) -> None:
     drive.step()
     assert drive.live.lattice == lattice
     assert drive.accepted() == "a"
-    assert drive.fused is not None
     assert np.array_equal(on_lattice(drive.fused, place) == 100, place.cells == 100)
 
 

@@ -32,7 +32,6 @@ def test_an_input_goes_through_its_states_and_votes_in_one(device: ComputeDevice
     for stamp in range(15):
         for name in "abcde":
             place = drive.input(name).transform
-            assert place is not None
             away_m = 7.0 if name == "b" and stamp >= 10 else 0.0
             pose = place.inverse().compose(Pose2(0.3 * stamp, away_m, 0.0))
             drive.live.hear(name, float(stamp), pose)

@@ -38,7 +38,6 @@ def test_the_first_fusion_is_tried_for_new_maps_and_not_too_often(device: Comput
     assert not early.is_full_search
     assert early.fused is None
     update = drive.maybe()
-    assert update is not None
     assert update.is_full_search
     assert update.fused is not None
     assert drive.accepted() == "ab"

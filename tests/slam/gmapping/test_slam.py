@@ -95,7 +95,6 @@ def test_the_published_profile_holds_the_published_values(device: ComputeDevice)
     assert slam.health.filter_steps > 5
     assert len(slam.other_paths()) == 29
     last = scans[-1].odometry
-    assert last is not None
     assert math.hypot(last.x - truth[-1].x, last.y - truth[-1].y) > 1.0
     assert errors(slam, truth)[0] < 0.4
     assert slam.series()[0].limit == 15.0

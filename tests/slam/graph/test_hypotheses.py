@@ -39,7 +39,6 @@ def test_a_hypothesis_is_believed_after_enough_hits_over_a_distance():
         assert hypotheses.winner() is None
     hypotheses.add(hit(CONFIRMED_NODES, TRUE), HERE)
     winner = hypotheses.winner()
-    assert winner is not None
     assert [one.constraint.end for one in winner.hits] == [
         *range(CONFIRMED_NODES - 1),
         CONFIRMED_NODES,
@@ -68,5 +67,4 @@ def test_of_two_places_that_look_alike_none_is_believed_until_one_fails():
         assert hypotheses.winner() is None
     hypotheses.miss(twin)
     winner = hypotheses.winner()
-    assert winner is not None
     assert winner.correction == TRUE

@@ -130,7 +130,6 @@ def test_finds_the_best_of_every_pose(device: ComputeDevice, case: Case):
     if everything.max() == 0.0:
         assert found is None
         return
-    assert found is not None
     assert found.score == pytest.approx(everything.max(), abs=1e-12)
     assert case.scores(found.pose[None])[0] == pytest.approx(found.score, abs=1e-12)
     away = np.abs(case.poses() - found.pose)
@@ -143,7 +142,6 @@ def test_nothing_at_or_below_the_least_is_found(device: ComputeDevice, case: Cas
     best = float(case.scores(case.poses()).max())
     found = case.search(device, least=share * best)
     if share * best < best - 1e-9:
-        assert found is not None
         assert found.score == pytest.approx(best, abs=1e-12)
     elif share * best > best - 1e-12:
         assert found is None
@@ -174,7 +172,6 @@ def test_finds_the_best_of_every_other_place(
     if best == 0.0:
         assert found is None
         return
-    assert found is not None
     assert found.score == pytest.approx(best, abs=1e-12)
     assert case.scores(found.pose[None])[0] == pytest.approx(found.score, abs=1e-12)
     assert is_elsewhere(found.pose[None], beside).all()
