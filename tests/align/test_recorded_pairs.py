@@ -7,8 +7,7 @@ none of them is near the decision. Of those with a right answer, none that is wr
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable
-from functools import cache, partial
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -16,29 +15,10 @@ import pytest
 from slamfusion.compute import ComputeDevice
 from slamfusion.fusion import align_grids
 from tests.fusion.drawings import fusion_config
-from tests.support.overlap import (
-    Draft,
-    cross_slam_pairs,
-    different_places,
-    disjoint_halves,
-    half_pairs,
-    mirrored,
-    scaled,
-    simulated,
-)
+from tests.support.overlap import SETS, Draft
 
 pytestmark = [pytest.mark.datasets, pytest.mark.once]
 
-SETS: dict[str, Callable[[int], tuple[Draft, ...]]] = {
-    "one map cut in two": half_pairs,
-    "cross-SLAM": cross_slam_pairs,
-    "simulated": simulated,
-    "different places": different_places,
-    "disjoint halves": disjoint_halves,
-    "mirrored": mirrored,
-    "scaled 1.1": partial(scaled, factor=1.1),
-    "scaled 1.05": partial(scaled, factor=1.05),
-}
 with Path(__file__).with_name("decided_pairs.csv").open(encoding="utf-8", newline="") as table:
     PAIRS = list(csv.DictReader(table))
 # One pair in three, of every kind, is in every run.

@@ -16,7 +16,7 @@ import hashlib
 import json
 import multiprocessing
 from collections import Counter, OrderedDict
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, TextIO
@@ -36,31 +36,8 @@ from slamfusion.grid import OccupancyGrid
 from slamfusion.json_values import plain
 from tests.benchmarks.record import add_record_option, console_for
 from tests.support.datasets import ABSENT, MAPS
-from tests.support.overlap import (
-    NEGATIVES,
-    OVERLAPS,
-    POSITIVES,
-    Draft,
-    cross_slam_pairs,
-    different_places,
-    disjoint_halves,
-    half_pairs,
-    mirrored,
-    scaled,
-    simulated,
-)
+from tests.support.overlap import NEGATIVES, OVERLAPS, POSITIVES, SETS, Draft
 
-# Each set of pairs, told a seed.
-SETS: dict[str, Callable[[int], tuple[Draft, ...]]] = {
-    "one-map": half_pairs,
-    "cross-slam": cross_slam_pairs,
-    "simulated": simulated,
-    "different": different_places,
-    "disjoint": disjoint_halves,
-    "mirrored": mirrored,
-    "scaled-1.1": lambda seed: scaled(seed, 1.1),
-    "scaled-1.02": lambda seed: scaled(seed, 1.02),
-}
 # Prepared maps that a process keeps, and the maps whose pairs are aligned one after another.
 KEPT_FEATURES = 24
 BLOCK_MAPS = 10
