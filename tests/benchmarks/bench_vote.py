@@ -28,7 +28,6 @@ import json
 import math
 import sys
 import time
-from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
@@ -355,32 +354,6 @@ def measure_case(case: Case, fused: Mapping[str, Fused], device: ComputeDevice) 
 # --- tables --------------------------------------------------------------------------------------
 
 
-def case_table(rows: Sequence[Row], modes: Sequence[str]) -> Table:
-    """Return a table with a row for each case and true map."""
-    table = Table("case", "walls", "inputs F1", "good error", *modes)
-    grouped: dict[tuple[str, str], dict[str, Row]] = defaultdict(dict)
-    for row in rows:
-        grouped[row.case, row.truth][row.mode] = row
-    for (name, truth), by_mode in grouped.items():
-        first = next(iter(by_mode.values()))
-        shown = ", ".join(
-            f"{item.f1:.3f}" + ("*" if key in first.good else "")
-            for key, item in sorted(first.inputs.items(), key=lambda pair: -pair[1].f1)
-        )
-        error = np.mean([first.inputs[key].error for key in first.good])
-        cells = [_cell(by_mode[mode]) for mode in modes]
-        table.add_row(name if first.counts else f"({name})", truth, shown, f"{error:.0f}", *cells)
-    return table
-
-
-def _cell(row: Row) -> str:
-    """Return F1 and error of a fused map, with the bars that it misses."""
-    if row.fused is None:
-        return "not aligned"
-    missed = [bar for bar, margin in row.margins.items() if not margin >= 0.0]
-    return f"{row.fused.f1:.3f} ({row.fused.error:.0f}) {' '.join(missed) or 'ok'}"
-
-
 def summary_table(rows: Sequence[Row], modes: Sequence[str]) -> Table:
     """Return, of each mode and bar, the share of cases that meet it, and the worst case."""
     table = Table("mode", "bar", "thin", "solid", "worst margin", "worst case")
@@ -441,9 +414,7 @@ def main() -> None:
                 if options.json is not None:
                     document: list[dict[str, Any]] = [asdict(row) for row in rows]
                     options.json.write_text(json.dumps(document, indent=1), encoding="utf-8")
-    console = console_for("vote", options.record, width=200)
-    console.print(summary_table(rows, options.modes))
-    console.print(case_table(rows, options.modes))
+    console_for("vote", options.record, width=200).print(summary_table(rows, options.modes))
 
 
 if __name__ == "__main__":
