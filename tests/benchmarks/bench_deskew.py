@@ -8,7 +8,6 @@ Each drive is recorded by a lidar whose beams are measured one after the other, 
 
 from __future__ import annotations
 
-import argparse
 import sys
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -17,7 +16,7 @@ from rich.progress import track
 from rich.table import Table
 
 from tests.benchmarks.bench_modes import PRODUCERS, slamfusion
-from tests.benchmarks.record import add_record_option, console_for
+from tests.benchmarks.record import bench_parser, console_for
 
 
 def figures(log: Path, truth: Path, out: Path, deskew: str) -> list[str]:
@@ -35,11 +34,10 @@ def figures(log: Path, truth: Path, out: Path, deskew: str) -> list[str]:
 
 def main() -> None:
     """Read the options and run."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = bench_parser(__doc__)
     parser.add_argument("--courses", nargs="+", default=["f16", "atrium"])
     parser.add_argument("--lidars", nargs="+", default=["rplidar", "lds01"])
     parser.add_argument("--seed", type=int, default=3)
-    add_record_option(parser)
     options = parser.parse_args()
     names = ("tinySLAM", "gmapping", "graph")
     ates, doubled = (f"{name} ATE m" for name in names), (f"{name} doubled %" for name in names)

@@ -18,7 +18,6 @@ each producer; and drive.json, which is written last. Where a fault befalls one 
 
 from __future__ import annotations
 
-import argparse
 import itertools
 import json
 import math
@@ -46,7 +45,7 @@ from slamfusion.jobs.fused_path import fuse_weighed_paths
 from slamfusion.sim import simulate
 from slamfusion.slam.registry import BUILT_IN
 from slamfusion.trajectory import Trajectory
-from tests.benchmarks.record import add_record_option, console_for
+from tests.benchmarks.record import bench_parser, console_for
 
 TRUTH, FUSED = "truth", "fused"
 # Drives of this condition are cut where the true path jumps by this, metres.
@@ -367,14 +366,13 @@ def print_choice(name: str, record: Path | None, found: Sequence[Found], title: 
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = bench_parser(__doc__)
     parser.add_argument("--drives", type=Path, required=True, help="folder that keeps the drives")
     parser.add_argument("--worlds", default="1,101", help="seeds of the worlds, with commas")
     parser.add_argument("--lidars", default="kinect,hokuyo,rplidar")
     parser.add_argument("--make", action="store_true", help="make the drives that are not there")
     parser.add_argument("--json", type=Path, help="write what was found on each drive")
     parser.add_argument("--device", default="auto")
-    add_record_option(parser)
     arguments = parser.parse_args()
     device = open_device(arguments.device)
     worlds = [int(word) for word in arguments.worlds.split(",")]

@@ -14,7 +14,6 @@ thousand of the free cells drawn as walls. scans, beams, particles: `slam` on a 
 
 from __future__ import annotations
 
-import argparse
 import gzip
 import math
 import multiprocessing
@@ -39,7 +38,7 @@ from slamfusion.io import save_map
 from slamfusion.sim import draw_building, named_course, write_recording
 from slamfusion.sim.simulate import simulate
 from slamfusion.slam.registry import BUILT_IN
-from tests.benchmarks.record import add_record_option, console_for
+from tests.benchmarks.record import bench_parser, console_for
 
 RESOLUTION = 0.05
 # Side of the building, in sides of a map; share of the free cells that are drawn as walls.
@@ -208,10 +207,9 @@ def rows(series: Series, runs: int) -> list[tuple[str, ...]]:
 
 def main() -> None:
     """Measure and print."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
+    parser = bench_parser(__doc__)
     parser.add_argument("--part", choices=tuple(PARTS), action="append", help="default: all")
     parser.add_argument("--runs", type=int, default=1)
-    add_record_option(parser)
     asked = parser.parse_args()
     table = Table(title="growth")
     for name in ("work", "size", "sizes", "CPU s", "power", "peak MiB", "power", "command alone"):

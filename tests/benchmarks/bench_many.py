@@ -14,7 +14,6 @@ and is not counted.
 
 from __future__ import annotations
 
-import argparse
 import resource
 import time
 from dataclasses import replace
@@ -25,7 +24,7 @@ from slamfusion.align.records import FusionResult
 from slamfusion.compute import ComputeDevice, open_device
 from slamfusion.config import RunConfig, VoteConfig
 from slamfusion.jobs.fuse import fuse_maps
-from tests.benchmarks.record import add_record_option, console_for
+from tests.benchmarks.record import bench_parser, console_for
 from tests.support.sites import ManyMaps, many_maps
 
 RIGHT_M = 0.5
@@ -72,12 +71,11 @@ def _errors(site: ManyMaps, group: FusionResult) -> dict[str, float]:
 
 def main() -> None:
     """Measure and print."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
+    parser = bench_parser(__doc__)
     parser.add_argument("--maps", default="10,20", help="numbers of maps")
     parser.add_argument("--seeds", default="1", help="seeds of the sites")
     parser.add_argument("--cells", type=int, default=700, help="cells on a side of a map")
     parser.add_argument("--device", default="auto")
-    add_record_option(parser)
     asked = parser.parse_args()
     device = open_device(asked.device)
     measure(7, 0, 200, device)

@@ -10,7 +10,6 @@ the machine's load.
 
 from __future__ import annotations
 
-import argparse
 import json
 import subprocess
 import sys
@@ -22,7 +21,7 @@ from typing import Any
 from rich.progress import track
 from rich.table import Table
 
-from tests.benchmarks.record import add_record_option, console_for
+from tests.benchmarks.record import bench_parser, console_for
 
 COURSES = ("office", "hall", "corridor")
 PRODUCERS = ("tinyslam", "gmapping", "graph")
@@ -65,10 +64,9 @@ def row(course: str, walls: str, errors: dict[str, float]) -> Sequence[str]:
 
 def main() -> None:
     """Read the options and run."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = bench_parser(__doc__)
     parser.add_argument("--courses", nargs="+", default=COURSES)
     parser.add_argument("--seed", type=int, default=3)
-    add_record_option(parser)
     options = parser.parse_args()
     table = Table("course", "true walls", "tinySLAM", "gmapping", "graph", *MODES)
     for course in track(options.courses, disable=not sys.stderr.isatty()):

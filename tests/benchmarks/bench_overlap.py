@@ -11,7 +11,6 @@ be accepted (at 1.02 times the scale it may be, where the scale is named).
 
 from __future__ import annotations
 
-import argparse
 import hashlib
 import json
 import multiprocessing
@@ -34,7 +33,7 @@ from slamfusion.compute import open_device
 from slamfusion.config import FusionConfig
 from slamfusion.grid import OccupancyGrid
 from slamfusion.json_values import plain
-from tests.benchmarks.record import add_record_option, console_for
+from tests.benchmarks.record import bench_parser, console_for
 from tests.support.datasets import ABSENT, MAPS
 from tests.support.overlap import NEGATIVES, OVERLAPS, POSITIVES, SETS, Draft
 
@@ -206,16 +205,13 @@ def print_all(results: list[Result], console: Console) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = bench_parser(__doc__)
     parser.add_argument("--seed", type=int, default=1, help="of yaws, origins, specks, samples")
     parser.add_argument("--limit", type=int, help="pairs of each set and overlap; default: all")
     parser.add_argument("--only", choices=tuple(SETS), action="append", help="default: all")
     parser.add_argument("--jsonl", type=Path, help="file for one line a pair")
     parser.add_argument("--processes", type=int, default=1)
     parser.add_argument("--device", default="auto")
-    add_record_option(parser)
     arguments = parser.parse_args()
     names = arguments.only or tuple(SETS)
     if not MAPS.is_dir() and set(names) != {"simulated"}:

@@ -8,7 +8,6 @@ pairs of one place, and the Halmstad pairs against their annotation. ``align`` s
 
 from __future__ import annotations
 
-import argparse
 import itertools
 import math
 from collections import Counter
@@ -25,7 +24,7 @@ from slamfusion.align.pair import Pair as MapPair
 from slamfusion.align.records import Alignment
 from slamfusion.compute import ComputeDevice, open_device
 from slamfusion.config import FusionConfig
-from tests.benchmarks.record import add_record_option, console_for
+from tests.benchmarks.record import bench_parser, console_for
 from tests.support.datasets import MapEntry, load_entry, map_entries
 from tests.support.halmstad import RIGHT_DEGREES, RIGHT_PIXELS, annotated_error, load_place
 from tests.support.overlap import are_different_places
@@ -111,9 +110,8 @@ def bench_halmstad(aligner: Aligner, console: Console) -> list[Counts]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = bench_parser(__doc__)
     parser.add_argument("--device", default="auto")
-    add_record_option(parser)
     arguments = parser.parse_args()
     console = console_for("places", arguments.record, width=180)
     aligner = Aligner(open_device(arguments.device))

@@ -9,7 +9,6 @@ not depend on the machine's load.
 
 from __future__ import annotations
 
-import argparse
 import sys
 import time
 from collections.abc import Iterator
@@ -24,7 +23,7 @@ from slamfusion.compute import open_device
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io.map_server import load_map
 from slamfusion.jobs.align import align_plan
-from tests.benchmarks.record import add_record_option, console_for
+from tests.benchmarks.record import bench_parser, console_for
 from tests.support.halmstad import CELL_M
 from tests.support.plans import maps_of, marked_error_m, places, plan_of
 
@@ -60,10 +59,9 @@ def pairs(kinds: list[str], only: list[str]) -> Iterator[tuple[str, str, Path, O
 
 def main() -> None:
     """Read the options and run."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = bench_parser(__doc__)
     parser.add_argument("--kinds", nargs="+", default=[OWN, OTHER, MIRRORED])
     parser.add_argument("--places", nargs="+", default=[])
-    add_record_option(parser)
     options = parser.parse_args()
     device = open_device()
     rows: dict[tuple[str, str], Row] = {}

@@ -24,7 +24,6 @@ last verdict (``optimize(start="given", weights=...)``). CPU time of one such so
 
 from __future__ import annotations
 
-import argparse
 import itertools
 import time
 from collections.abc import Callable
@@ -47,7 +46,7 @@ from slamfusion.pose_graph.least_squares import (
     rotations_first,
 )
 from slamfusion.pose_graph.optimize import Robust, optimize
-from tests.benchmarks.record import add_record_option, console_for
+from tests.benchmarks.record import bench_parser, console_for
 from tests.pose_graph.graphs import POSE_GRAPHS, apart, chi2_of, with_false_closures
 from tests.pose_graph.gtsam_oracle import GtsamGraph, has_gtsam
 
@@ -227,13 +226,12 @@ def drive(graph: PoseGraph, method: Robust) -> tuple[F64, npt.NDArray[np.bool_],
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = bench_parser(__doc__)
     parser.add_argument("--part", choices=PARTS, default="clean")
     parser.add_argument("--graphs", nargs="+", choices=NAMES)
     parser.add_argument("--methods", nargs="+", choices=METHODS, default=("consensus",))
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--repetitions", type=int, default=5)
-    add_record_option(parser)
     options = parser.parse_args()
     methods = tuple(options.methods)
     is_slow = options.part == "online" or (options.part == "false" and methods != ("consensus",))

@@ -12,7 +12,6 @@ path; and how likely a hit of an odd scan is under what other odd scans draw by 
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -38,7 +37,7 @@ from slamfusion.jobs.run import run_log
 from slamfusion.jobs.run_files import save_run
 from slamfusion.slam.registry import BUILT_IN, loop_closers
 from slamfusion.trajectory import Trajectory
-from tests.benchmarks.record import add_record_option, console_for
+from tests.benchmarks.record import bench_parser, console_for
 from tests.support.datasets import MEASURED
 
 RESOLUTION_M = 0.05
@@ -117,13 +116,10 @@ def judge(files: LogFiles, runs: Path, device: ComputeDevice) -> pd.DataFrame:
 def main() -> None:
     """Read the options and run."""
     recorded = {case_of(files.log): files for files in MEASURED}
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = bench_parser(__doc__)
     parser.add_argument("--runs", type=Path, required=True, help="keeps the producers' paths")
     parser.add_argument("--logs", default=",".join(recorded))
     parser.add_argument("--device", default="auto")
-    add_record_option(parser)
     options = parser.parse_args()
     device = open_device(options.device)
     table = Table(title="Chosen on even scans, judged on odd ones; *: the least on this log")

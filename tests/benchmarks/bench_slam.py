@@ -17,7 +17,6 @@ command line does, e.g. gmapping's published profile.
 
 from __future__ import annotations
 
-import argparse
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -48,7 +47,7 @@ from slamfusion.slam.common.mapper import Closure
 from slamfusion.slam.common.runner import ProducerRun, run_producer
 from slamfusion.slam.registry import BUILT_IN, load_config, make_producer, open_producer_device
 from slamfusion.trajectory import Trajectory
-from tests.benchmarks.record import add_record_option, console_for
+from tests.benchmarks.record import bench_parser, console_for
 from tests.support.datasets import ABSENT, CSAIL, DATASETS, INTEL, MEASURED
 
 # Of the cells of walls.
@@ -368,9 +367,7 @@ PARTS: dict[str, tuple[Callable[[Bench], Iterator[Row]], int]] = {
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = bench_parser(__doc__)
     parser.add_argument("producer", choices=BUILT_IN)
     parser.add_argument("--part", choices=PARTS, action="append", help="default: all")
     parser.add_argument("--only", action="append", metavar="NAME", help="drive, course or log")
@@ -378,7 +375,6 @@ def main() -> None:
     parser.add_argument("--maps", type=Path, metavar="DIR")
     parser.add_argument("--config", type=Path, metavar="FILE")
     parser.add_argument("--device")
-    add_record_option(parser)
     options = parser.parse_args()
     config = load_config(options.config) if options.config else RunConfig()
     if options.device:

@@ -7,7 +7,6 @@ it, as for one with memory of its own, such as a GPU. Everything is drawn from f
 
 from __future__ import annotations
 
-import argparse
 import math
 import time
 from collections.abc import Callable
@@ -32,7 +31,7 @@ from slamfusion.grid import CellBox, OccupancyGrid
 from slamfusion.sim import draw_building, named_course, simulate
 from slamfusion.slam.common.runner import run_producer
 from slamfusion.slam.registry import BUILT_IN, make_producer, producer
-from tests.benchmarks.record import add_record_option, console_for
+from tests.benchmarks.record import bench_parser, console_for
 from tests.support.degrade import Degradation, degrade_map
 
 SEED = 2016
@@ -44,13 +43,12 @@ SCANS = 400
 
 def main() -> None:
     """Print a table of all measurements."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = bench_parser(__doc__)
     parser.add_argument("--device", default="auto", help="index or part of a name; numpy")
     parser.add_argument("--runs", type=int, default=5, help="of each; the median counts")
     parser.add_argument(
         "--side", type=int, default=800, help="of the large maps, cells; 240 or more"
     )
-    add_record_option(parser)
     options = parser.parse_args()
     device = open_device(options.device)
     table = Table("work", "time", "against", title=f"speed on {device.name}")

@@ -23,7 +23,6 @@ be aligned.
 
 from __future__ import annotations
 
-import argparse
 import json
 import math
 import sys
@@ -56,7 +55,7 @@ from slamfusion.fusion.pipeline import fuse_grids, vote_again
 from slamfusion.geometry import F64, Pose2
 from slamfusion.grid import IDENTITY, OCCUPIED, UNKNOWN, CellBox, OccupancyGrid, trinary_cells
 from slamfusion.vote.walls import SAME_WALL_M
-from tests.benchmarks.record import add_record_option, console_for
+from tests.benchmarks.record import bench_parser, console_for
 from tests.benchmarks.vote_cases import KINDS, Case, cases
 
 THRESHOLDS = NormalizeConfig()
@@ -390,16 +389,13 @@ def _names(text: str) -> list[str]:
 
 def main() -> None:
     """Read the options and run."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = bench_parser(__doc__)
     parser.add_argument("--cases", type=_names, default=KINDS, help=f"default: {','.join(KINDS)}")
     parser.add_argument("--modes", type=_names, default=get_args(VoteMode), help="default: all")
     parser.add_argument("--seeds", type=int, default=2)
     parser.add_argument(
         "--json", type=Path, metavar="FILE", help="write all figures, after each case"
     )
-    add_record_option(parser)
     options = parser.parse_args()
     if not set(options.cases) <= set(KINDS):
         parser.error(f"--cases takes {', '.join(KINDS)}, found {', '.join(options.cases)}")

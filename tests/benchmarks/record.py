@@ -68,6 +68,15 @@ def add_record_option(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def bench_parser(text: str | None) -> argparse.ArgumentParser:
+    """Return a parser with ``--record``, whose help begins with a text as it is written."""
+    parser = argparse.ArgumentParser(
+        description=text, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    add_record_option(parser)
+    return parser
+
+
 def console_for(name: str, folder: Path | None, **options: Any) -> Console:
     """Return the console of a benchmark: one that keeps its tables where a folder is given."""
     return Console(**options) if folder is None else RecordingConsole(name, folder, **options)
