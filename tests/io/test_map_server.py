@@ -108,29 +108,65 @@ def test_an_absolute_image_path_is_followed(tmp_path: Path) -> None:
     assert values_of(path) == CELLS
 
 
-def test_thresholds_and_negate_have_defaults(tmp_path: Path) -> None:
-    path = write_map(tmp_path, TINY, negate="", occupied_thresh="", free_thresh="")
-    assert values_of(path) == CELLS
-
-
 @pytest.mark.parametrize("negate", ["1", "true", "True", "yes"])
 def test_negate_turns_white_into_walls(tmp_path: Path, negate: str) -> None:
     picture = pgm([[255 - v for v in row] for row in ROWS])
     assert values_of(write_map(tmp_path, picture, negate=negate)) == CELLS
 
 
-def test_trinary_comparisons_are_strict(tmp_path: Path) -> None:
-    # Occupancies of the greys 51 and 204 are exactly the thresholds below: both stay unknown.
-    occupied, free = repr(shade_of(51)), repr(shade_of(204))
-    path = write_map(
-        tmp_path, pgm([[50, 51, 52, 203, 204, 205]]), occupied_thresh=occupied, free_thresh=free
-    )
-    assert values_of(path) == [[100, -1, -1, -1, -1, 0]]
+RAW = pgm([[0, 1, 99, 100, 101, 205, 255]])
+PALETTE = chunk(b"PLTE", bytes([0, 0, 0, 205, 205, 205, 254, 254, 254]))
+# Means of colours 85, 170 and 255: occupied (2/3 > 0.65), unknown, free.
+RGB = bytes([0, 0, 255, 255, 255, 0, 255, 255, 255])
+# Means with alpha 63.75, 0, 190.5 and 217.5: occupied, occupied, unknown, free.
+RGBA = bytes([0, 0, 0, 255, 0, 0, 0, 0, 254, 254, 254, 0, 205, 205, 205, 255])
+# Occupancies of the greys 51 and 204 are exactly these thresholds: both stay unknown.
+STRICT = {"occupied_thresh": repr(shade_of(51)), "free_thresh": repr(shade_of(204))}
+NO_RULES = {"negate": "", "occupied_thresh": "", "free_thresh": ""}
 
 
-def test_grey_205_is_unknown_at_0_196_and_free_at_0_25(tmp_path: Path) -> None:
-    assert values_of(write_map(tmp_path, pgm([[205]]))) == [[-1]]
-    assert values_of(write_map(tmp_path, pgm([[205]]), free_thresh="0.25")) == [[0]]
+@pytest.mark.parametrize(
+    ("data", "says", "cells"),
+    [
+        (TINY, NO_RULES, CELLS),
+        (pgm([[50, 51, 52, 203, 204, 205]]), STRICT, [[100, -1, -1, -1, -1, 0]]),
+        (pgm([[205]]), {}, [[-1]]),
+        (pgm([[205]]), {"free_thresh": "0.25"}, [[0]]),
+        (RAW, {"mode": "raw"}, [[0, 1, 99, 100, -1, -1, -1]]),
+        (RAW, {"mode": "raw", "negate": "1"}, [[0, 1, 99, 100, -1, -1, -1]]),
+        # Another maximum is scaled.
+        (pgm([[0, 1, 2]], 2), {}, [[100, -1, 0]]),
+        (pgm([[0, 500, 1000]], 1000), {}, [[100, -1, 0]]),
+        (pgm([[0, 7, 15]], 15, plain=True), {}, [[100, -1, 0]]),
+        # 0.65 of white lies between these neighbours, which share their upper byte.
+        (pgm([[22937, 22938]], 65535), {}, [[100, -1]]),
+        # Comments may stand anywhere in the header.
+        (b"P5 # one\n#two 7 7\n3#three\n 2\r\n# four\n255\n" + bytes(ROWS[0] + ROWS[1]), {}, CELLS),
+        (png([RGB], 3, colour=2), {}, [[100, -1, 0]]),
+        (png([RGBA], 4, colour=6), {}, [[100, 100, -1, 0]]),
+        # In the mode scale the transparent is unknown, also as the one grey of a PNG.
+        (png([bytes([0, 0, 0, 255, 0, 0, 0, 254])], 2, 8, 6), {"mode": "scale"}, [[100, -1]]),
+        (
+            png([bytes([0] * 6 + [255] * 2 + [0] * 6 + [254] * 2)], 2, 16, 6),
+            {"mode": "scale"},
+            [[100, -1]],
+        ),
+        (
+            png([bytes([0, 64, 255])], 3, extra=chunk(b"tRNS", b"\x00\x40")),
+            {"mode": "scale"},
+            [[100, -1, 0]],
+        ),
+        # Palettes and shallow greys are expanded.
+        (png([bytes([0, 1, 2])], 3, colour=3, extra=PALETTE), {}, [[100, -1, 0]]),
+        (png([b"\x1b"], 4, 2), {}, [[100, 100, -1, 0]]),
+        (png([b"\x40"], 2, 1), {}, [[100, 0]]),
+    ],
+)
+def test_greys_colours_and_rules_give_the_cells_of_a_map_server(
+    tmp_path: Path, data: bytes, says: dict[str, str], cells: list[list[int]]
+) -> None:
+    name = "map.pgm" if data.startswith(b"P") else "map.png"
+    assert values_of(write_map(tmp_path, data, name, **says)) == cells
 
 
 GREY_ROWS = [[254, 205, 0], [205, 205, 254]]
@@ -179,65 +215,6 @@ def test_scale_is_linear_between_the_thresholds(tmp_path: Path) -> None:
     path = write_map(tmp_path, pgm([greys]), mode="scale", free_thresh="0.2", occupied_thresh="0.7")
     expected = [min(max(round((shade_of(v) - 0.2) / 0.5 * 100), 0), 100) for v in greys]
     assert values_of(path) == [expected]
-
-
-def test_raw_is_the_value_up_to_100(tmp_path: Path) -> None:
-    picture = pgm([[0, 1, 99, 100, 101, 205, 255]])
-    for negate in ("0", "1"):
-        path = write_map(tmp_path, picture, mode="raw", negate=negate)
-        assert values_of(path) == [[0, 1, 99, 100, -1, -1, -1]]
-
-
-def test_another_maximum_is_scaled(tmp_path: Path) -> None:
-    assert values_of(write_map(tmp_path, pgm([[0, 1, 2]], 2))) == [[100, -1, 0]]
-    assert values_of(write_map(tmp_path, pgm([[0, 500, 1000]], 1000))) == [[100, -1, 0]]
-    assert values_of(write_map(tmp_path, pgm([[0, 7, 15]], 15, plain=True))) == [[100, -1, 0]]
-
-
-def test_sixteen_bits_are_compared_in_sixteen_bits(tmp_path: Path) -> None:
-    # 0.65 of white lies between these neighbours, which share their upper byte.
-    low, high = 22937, 22938
-    assert low >> 8 == high >> 8
-    assert values_of(write_map(tmp_path, pgm([[low, high]], 65535))) == [[100, -1]]
-
-
-def test_comments_may_stand_anywhere_in_the_header(tmp_path: Path) -> None:
-    picture = b"P5 # one\n#two 7 7\n3#three\n 2\r\n# four\n255\n" + bytes(ROWS[0] + ROWS[1])
-    assert values_of(write_map(tmp_path, picture)) == CELLS
-
-
-def test_colours_are_averaged(tmp_path: Path) -> None:
-    picture = png([bytes([0, 0, 255, 255, 255, 0, 255, 255, 255])], 3, colour=2)
-    # Mean 85 is occupied (2/3 > 0.65), mean 170 unknown, mean 255 free.
-    assert values_of(write_map(tmp_path, picture, "map.png")) == [[100, -1, 0]]
-
-
-def test_trinary_averages_alpha_like_a_colour(tmp_path: Path) -> None:
-    pixels = bytes([0, 0, 0, 255, 0, 0, 0, 0, 254, 254, 254, 0, 205, 205, 205, 255])
-    # Means 63.75, 0, 190.5 and 217.5: occupied, occupied, unknown, free.
-    path = write_map(tmp_path, png([pixels], 4, colour=6), "map.png")
-    assert values_of(path) == [[100, 100, -1, 0]]
-
-
-@pytest.mark.parametrize("depth", [8, 16])
-def test_scale_takes_the_transparent_for_unknown(tmp_path: Path, depth: int) -> None:
-    wide = depth // 8
-    pixels = b"".join(bytes([v]) * wide * 3 + bytes([a]) * wide for v, a in ((0, 255), (0, 254)))
-    path = write_map(tmp_path, png([pixels], 2, depth, 6), "map.png", mode="scale")
-    assert values_of(path) == [[100, -1]]
-
-
-def test_the_transparent_grey_of_a_png_counts_as_alpha(tmp_path: Path) -> None:
-    picture = png([bytes([0, 64, 255])], 3, extra=chunk(b"tRNS", b"\x00\x40"))
-    assert values_of(write_map(tmp_path, picture, "map.png", mode="scale")) == [[100, -1, 0]]
-
-
-def test_palettes_and_shallow_greys_are_expanded(tmp_path: Path) -> None:
-    palette = chunk(b"PLTE", bytes([0, 0, 0, 205, 205, 205, 254, 254, 254]))
-    picture = png([bytes([0, 1, 2])], 3, colour=3, extra=palette)
-    assert values_of(write_map(tmp_path, picture, "map.png")) == [[100, -1, 0]]
-    assert values_of(write_map(tmp_path, png([b"\x1b"], 4, 2), "map.png")) == [[100, 100, -1, 0]]
-    assert values_of(write_map(tmp_path, png([b"\x40"], 2, 1), "map.png")) == [[100, 0]]
 
 
 @pytest.mark.parametrize(
