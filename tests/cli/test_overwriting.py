@@ -16,7 +16,7 @@ from slamfusion.cli.paths import InputPath, OutputPath
 from slamfusion.cli.program import cli, run_program
 from slamfusion.errors import SlamFusionError
 from slamfusion.io.files import refuse_overwriting
-from tests.cli.command import SAMPLE
+from tests.cli.command import SAMPLE, tree
 
 Case = tuple[str, str, str]
 
@@ -160,19 +160,12 @@ def place(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return folder
 
 
-def content(folder: Path) -> dict[str, bytes | None]:
-    return {
-        str(path.relative_to(folder)): path.read_bytes() if path.is_file() else None
-        for path in folder.rglob("*")
-    }
-
-
 @pytest.mark.parametrize("case", CASES)
 def test_an_output_over_an_input_is_refused_before_any_work(
     case: str, place: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     words, named, asked = CASES[case]
-    before = content(place)
+    before = tree(place)
     assert run_program(words.split()) == 2
     out, error = capsys.readouterr()
     (line,) = error.splitlines()
@@ -180,7 +173,7 @@ def test_an_output_over_an_input_is_refused_before_any_work(
     assert named in line
     assert asked in line
     assert out == ""
-    assert content(place) == before
+    assert tree(place) == before
 
 
 def test_the_line_names_the_input_that_was_given_and_its_file(

@@ -17,20 +17,13 @@ from slamfusion.geometry import compose_poses, invert_poses
 from slamfusion.io.trajectories import read_trajectory
 from slamfusion.json_values import plain
 from slamfusion.trajectory import Trajectory
+from tests.evidence.rooms import by_steps
 from tests.support.datasets import ABSENT, DATASETS
 from tests.support.examples import examples
 
 INTEL = DATASETS / "intel"
 TOLERANCE_S = 0.01
 START_S = 1000.0
-
-
-def chain(steps: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Poses from the motions between them, starting at the identity."""
-    poses = [np.zeros(3)]
-    for step in steps:
-        poses.append(compose_poses(poses[-1], step))
-    return np.array(poses)
 
 
 def run(count: int = 400, seed: int = 3) -> tuple[Trajectory, Trajectory]:
@@ -40,8 +33,8 @@ def run(count: int = 400, seed: int = 3) -> tuple[Trajectory, Trajectory]:
     steps[100:130] = 0.0
     slip = 1.0 + rng.normal(0.0, 0.05, steps.shape) + (0.0, 0.0, 0.1)
     stamps = START_S + 0.2 * np.arange(count)
-    truth = Trajectory(stamps, chain(steps), "truth")
-    return truth, Trajectory(stamps, chain(steps * slip), "odometry")
+    truth = Trajectory(stamps, by_steps(steps), "truth")
+    return truth, Trajectory(stamps, by_steps(steps * slip), "odometry")
 
 
 def part(path: Trajectory, rows: npt.NDArray[np.int64], late_s: npt.ArrayLike = 0.0) -> Trajectory:

@@ -25,6 +25,7 @@ from slamfusion.geometry import compose_poses, invert_poses
 from slamfusion.io.trajectories import read_trajectory
 from slamfusion.json_values import plain
 from slamfusion.trajectory import Trajectory
+from tests.evidence.rooms import by_steps
 from tests.support.datasets import ABSENT, DATASETS
 
 CSAIL = DATASETS / "mit-csail"
@@ -35,10 +36,8 @@ EXACT_S = 2e-5
 def drive(count: int = 60, seed: int = 1) -> Trajectory:
     """A path of random steps, ten poses a second."""
     rng = np.random.default_rng(seed)
-    poses = [np.zeros(3)]
-    for step in rng.normal((0.1, 0.0, 0.0), (0.05, 0.02, 0.2), (count - 1, 3)):
-        poses.append(compose_poses(poses[-1], step))
-    return Trajectory(1000.0 + 0.1 * np.arange(count), np.array(poses), "drive")
+    poses = by_steps(rng.normal((0.1, 0.0, 0.0), (0.05, 0.02, 0.2), (count - 1, 3)))
+    return Trajectory(1000.0 + 0.1 * np.arange(count), poses, "drive")
 
 
 def relations_of(trajectory: Trajectory, pairs: npt.NDArray[np.int64]) -> Relations:

@@ -24,6 +24,7 @@ from slamfusion.evaluation.trajectory_error import (
 from slamfusion.geometry import Pose2, compose_poses, moved_poses
 from slamfusion.json_values import plain
 from slamfusion.trajectory import Trajectory
+from tests.evidence.rooms import by_steps
 
 CONFIG = TrajectoryConfig()
 AS_IT_LIES = TrajectoryConfig(alignment="none")
@@ -39,11 +40,10 @@ def line(count: int = 11, step_m: float = 0.5) -> Trajectory:
 def drive(count: int = 200, seed: int = 1, noise: float = 0.0) -> Trajectory:
     """A path of random steps, ten poses a second; ``noise`` is added to each pose."""
     rng = np.random.default_rng(seed)
-    poses = [np.array([3.0, -2.0, 0.4])]
-    for step in rng.normal((0.1, 0.0, 0.0), (0.05, 0.02, 0.2), (count - 1, 3)):
-        poses.append(compose_poses(poses[-1], step))
+    steps = rng.normal((0.1, 0.0, 0.0), (0.05, 0.02, 0.2), (count - 1, 3))
+    poses = compose_poses((3.0, -2.0, 0.4), by_steps(steps))
     wrong = np.random.default_rng(seed + 1000).normal(0.0, noise, (count, 3))
-    return Trajectory(1e9 + 0.1 * np.arange(count), np.array(poses) + wrong, f"drive-{seed}")
+    return Trajectory(1e9 + 0.1 * np.arange(count), poses + wrong, f"drive-{seed}")
 
 
 def moved(path: Trajectory, motion: Pose2) -> Trajectory:

@@ -16,16 +16,9 @@ import pytest
 from slamfusion.errors import MapFileError
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import AtomicFiles, save_map, write_atomic
+from tests.cli.command import tree
 
 GRID = OccupancyGrid(np.zeros((300, 300), dtype=np.int8), 0.05)
-
-
-def tree(folder: Path) -> dict[str, bytes]:
-    """Every file under the folder with its bytes, and every folder."""
-    return {
-        str(path.relative_to(folder)): path.read_bytes() if path.is_file() else b"<folder>"
-        for path in folder.rglob("*")
-    }
 
 
 def write_set(contents: dict[Path, bytes], *, interrupt: bool = False) -> None:
