@@ -155,13 +155,6 @@ def test_a_folder_that_cannot_be_written_to_is_found_before_the_log_plays(
     assert nodes_in(domain) == {}
 
 
-def test_a_second_log_is_refused(processes: Processes):
-    here = str(ROOT / "README.md")
-    script = start(processes, here, here)
-    assert script.wait(30.0) == 1
-    assert "error: two logs" in script.text()
-
-
 def test_a_node_that_cannot_start_ends_all(domain: int, processes: Processes, tmp_path: Path):
     """The nodes are a stand-in: one ends at once, the other waits to be stopped."""
     command = tmp_path / "slamfusion"
@@ -190,6 +183,7 @@ def test_a_node_whose_start_takes_long_and_fails_ends_all(processes: Processes, 
         (("--params", "absent.yaml"), "absent.yaml: no such file"),
         (("--log",), "--log needs a value"),
         (("--fast",), "unknown option --fast"),
+        ((str(ROOT / "README.md"),) * 2, "two logs"),
     ],
 )
 def test_wrong_words_are_refused(words: tuple[str, ...], said: str, processes: Processes):

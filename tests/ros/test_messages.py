@@ -50,18 +50,17 @@ def test_a_resolution_that_is_none_is_refused(resolution: float):
         messages.grid_from_message(message, "odd")
 
 
-def test_a_wrong_number_of_cells_is_refused():
+@pytest.mark.parametrize(
+    ("cells", "words"),
+    [
+        ([0] * 5, "odd: 5 cells sent for a map of 3 x 2"),
+        *(([0, 0, 0, value, 0, 0], str(value)) for value in (-2, 101, -128, 127)),
+    ],
+)
+def test_cells_that_are_none_are_refused(cells: list[int], words: str):
     message = sent()
-    message.data = message.data[:-1]
-    with pytest.raises(GridError, match=r"odd: 5 cells sent for a map of 3 x 2"):
-        messages.grid_from_message(message, "odd")
-
-
-@pytest.mark.parametrize("value", [-2, 101, -128, 127])
-def test_a_cell_that_is_none_is_refused(value: int):
-    message = sent()
-    message.data[3] = value
-    with pytest.raises(GridError, match=f"{value}"):
+    message.data = cells
+    with pytest.raises(GridError, match=words):
         messages.grid_from_message(message, "odd")
 
 
