@@ -46,6 +46,25 @@ def wait_for_last_map(observer: Observer, maps: list[Any], stamp_s: float = LAST
     )
 
 
+def wait_for_pose(observer: Observer, poses: list[Any], stamp_s: float) -> None:
+    """Listen until the pose at a scan has come."""
+    observer.wait(
+        lambda: poses and abs(messages.stamp_s(poses[-1]) - stamp_s) < 1e-6,
+        what=f"the pose at {stamp_s} s",
+    )
+
+
+def wait_for_figures(observer: Observer, name: str, figure: str, count: int) -> dict[str, str]:
+    """Listen until a figure of a producer has come to a count; return all figures."""
+
+    def figures() -> Any:
+        status = observer.statuses().get(f"{name}: slam")
+        found = {} if status is None else values(status)
+        return found if found.get(figure) == str(count) else None
+
+    return observer.wait(figures, what=f"{count} {figure}")
+
+
 def assert_same_map(message: Any, wanted: Grid) -> None:
     """Cell by cell."""
     found = messages.grid_from_message(message, "found")
@@ -76,25 +95,24 @@ class Robot:
 
     def send(self, item: LogScan) -> None:
         """Send a scan and its odometry."""
-        message = messages.scan_to_message(item.scan, "base_link")
         if self.odometry is not None and item.odometry is not None:
-            self.odometry.publish(
-                messages.odometry_to_message(
-                    item.odometry, "odom", "base_link", message.header.stamp
-                )
-            )
-        self.scans.publish(message)
+            self.tell(item.odometry, item.scan.stamp_s)
+        self.send_scan(item)
+
+    def send_scan(self, item: LogScan) -> None:
+        """Send a scan alone."""
+        self.scans.publish(messages.scan_to_message(item.scan, "base_link"))
+
+    def tell(self, pose: Pose2, stamp_s: float) -> None:
+        """Send odometry alone."""
+        stamp = messages.to_stamp(stamp_s)
+        self.odometry.publish(messages.odometry_to_message(pose, "odom", "base_link", stamp))
 
     def drive(self, items: list[LogScan], poses: list[Any]) -> None:
         """Send scans one by one, each when the pose at the last one has come."""
         for item in items:
             self.send(item)
-            self.observer.wait(
-                lambda item=item: (
-                    poses and abs(messages.stamp_s(poses[-1]) - item.scan.stamp_s) < 1e-6
-                ),
-                what=f"the pose at {item.scan.stamp_s} s",
-            )
+            wait_for_pose(self.observer, poses, item.scan.stamp_s)
 
 
 def started(
@@ -239,16 +257,8 @@ def test_too_many_scans_are_dropped_oldest_first_and_counted(
     sent = scans(COUNT)
     for item in sent:
         robot.send(item)
-    observer.wait(
-        lambda: poses and abs(messages.stamp_s(poses[-1]) - LAST_S) < 1e-6, 40.0, "the last pose"
-    )
-
-    def figures() -> Any:
-        status = observer.statuses().get("gmapping: slam")
-        found = {} if status is None else values(status)
-        return found if found.get("scans received") == str(COUNT) else None
-
-    found = observer.wait(figures, what="the figures of every scan")
+    wait_for_pose(observer, poses, LAST_S)
+    found = wait_for_figures(observer, "gmapping", "scans received", COUNT)
     dropped, fed = int(found["scans dropped"]), int(found["scans fed"])
     assert dropped > 0
     assert dropped + fed == COUNT
@@ -294,13 +304,10 @@ def test_one_stray_stamp_takes_no_map_away(processes: Processes, observer: Obser
     for index, item in enumerate(driven):
         if index in (20, 25, 30):
             offset_s = {20: -1.8, 25: 3600.0, 30: -90.0}[index]
-            message = messages.scan_to_message(moved_by(item, offset_s).scan, "base_link")
-            robot.scans.publish(message)
+            robot.send_scan(moved_by(item, offset_s))
         if index == 35:
             # Odometry too.
-            robot.odometry.publish(
-                messages.odometry_to_message(Pose2(), "odom", "base_link", Time(sec=5000))
-            )
+            robot.tell(Pose2(), 5000.0)
         robot.drive([item], poses)
     # The map is that of the others, cell by cell.
     assert_same_map(wait_for_last_map(observer, maps), offline("tinyslam", as_sent(driven)))
@@ -328,11 +335,8 @@ def test_scans_whose_time_jumps_without_their_odometry_are_left_out_and_named(
     def named() -> Any:
         # The clock of the laser is set back; the wheels go on in their time.
         item = moved_by(next(rest), -50.0)
-        robot.scans.publish(messages.scan_to_message(item.scan, "base_link"))
-        stamp = messages.to_stamp(item.scan.stamp_s + 50.0)
-        robot.odometry.publish(
-            messages.odometry_to_message(item.odometry, "odom", "base_link", stamp)
-        )
+        robot.send_scan(item)
+        robot.tell(item.odometry, item.scan.stamp_s + 50.0)
         observer.listen(0.1)
         status = observer.statuses().get("tinyslam: slam")
         return status if status and "the odometry did not" in status.message else None
@@ -354,22 +358,19 @@ def test_odometry_of_other_stamps_is_waited_for_and_interpolated(
     store = TransformStore()
 
     def tell(pose: Pose2, time_s: float) -> None:
+        robot.tell(pose, time_s)
         stamp = messages.to_stamp(time_s)
-        robot.odometry.publish(messages.odometry_to_message(pose, "odom", "base_link", stamp))
         store.add([messages.transform_to_message(pose, "odom", "base", stamp)])
 
     tell(driven[0].odometry, driven[0].scan.stamp_s - 0.05)
     moved = []
     for item, following in itertools.pairwise(driven):
         stamp_s = item.scan.stamp_s
-        robot.scans.publish(messages.scan_to_message(item.scan, "base_link"))
+        robot.send_scan(item)
         observer.listen(0.05)
         assert not poses or messages.stamp_s(poses[-1]) < stamp_s  # it waits
         tell(following.odometry, stamp_s + 0.05)
-        observer.wait(
-            lambda stamp_s=stamp_s: poses and abs(messages.stamp_s(poses[-1]) - stamp_s) < 1e-6,
-            what=f"the pose at {stamp_s} s",
-        )
+        wait_for_pose(observer, poses, stamp_s)
         moved.append(replace(item, odometry=store.lookup("odom", "base", stamp_s)))
     message = wait_for_last_map(observer, maps, moved[-1].scan.stamp_s)
     assert_same_map(message, offline("tinyslam", as_sent(moved)))
@@ -398,10 +399,7 @@ def test_silence_is_named_and_ends(processes: Processes, observer: Observer):
     assert values(status)["scans without odometry"] == "10"
 
     # Both come back; scans wait for odometry again once it is heard.
-    stamp = messages.to_stamp(sent[20].scan.stamp_s - 0.05)
-    robot.odometry.publish(
-        messages.odometry_to_message(sent[20].odometry, "odom", "base_link", stamp)
-    )
+    robot.tell(sent[20].odometry, sent[20].scan.stamp_s - 0.05)
     observer.listen(0.5)
     for item in sent[20:]:
         robot.drive([item], poses)
@@ -422,14 +420,7 @@ def test_scans_of_a_turning_lidar_are_deskewed_and_counted(
     observer.wait(lambda: observer.node.count_publishers("tinyslam/pose"), what="the producer")
     player = processes.node("player", file=str(log), lockstep=True, wait_for=["tinyslam"])
     assert player.wait() == 0
-    figures = observer.wait(
-        lambda: (
-            (status := observer.statuses().get("tinyslam: slam"))
-            and values(status)["scans fed"] == str(COUNT)
-            and values(status)
-        ),
-        what="the figures of all scans",
-    )
+    figures = wait_for_figures(observer, "tinyslam", "scans fed", COUNT)
     # Nothing says how the robot moves after the last scan.
     assert int(figures["scans deskewed"]) >= COUNT - 5
     assert int(figures["scans not deskewed"]) <= 1
@@ -445,13 +436,7 @@ def test_scans_before_any_odometry_are_left_out_and_named(processes: Processes, 
         robot.send(item)
     status = observer.wait_status("tinyslam: slam", "no odometry for the scans, which are left out")
     assert "set odometry_source to none" in status.message
-    observer.wait(
-        lambda: (
-            values(observer.statuses()["tinyslam: slam"]).get("left out: laser before odometry")
-            == "5"
-        ),
-        what="five scans left out",
-    )
+    wait_for_figures(observer, "tinyslam", "left out: laser before odometry", 5)
 
 
 def test_a_transform_that_cannot_be_sent_is_named(processes: Processes, observer: Observer):
@@ -501,18 +486,8 @@ def test_what_is_no_scan_is_left_out_and_the_node_goes_on(processes: Processes, 
     robot.odometry.publish(odometry)
     observer.wait_status("tinyslam: slam", "angle step must be finite", "odometry left out")
     robot.drive(sent[4:], poses)
-    status = observer.wait(
-        lambda: next(
-            (
-                item
-                for item in observer.statuses().values()
-                if values(item).get("scans fed") == "12"
-            ),
-            None,
-        ),
-        what="twelve scans",
-    )
-    assert values(status)["left out: angles or ranges that cannot be a scan"] == "3"
+    figures = wait_for_figures(observer, "tinyslam", "scans fed", 12)
+    assert figures["left out: angles or ranges that cannot be a scan"] == "3"
 
 
 def test_the_transform_to_the_odometry_leads_to_the_pose(processes: Processes, observer: Observer):
@@ -547,9 +522,7 @@ def test_two_nodes_that_send_the_same_transform_are_named(processes: Processes, 
     named = set()
     for item in scans(400):
         robot.drive([item], tinyslam)
-        robot.observer.wait(
-            lambda item=item: graph and abs(messages.stamp_s(graph[-1]) - item.scan.stamp_s) < 1e-6
-        )
+        wait_for_pose(observer, graph, item.scan.stamp_s)
         observer.listen(0.05)
         named |= {
             name
