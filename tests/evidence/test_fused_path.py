@@ -10,6 +10,7 @@ from slamfusion.evidence.fused_path import fuse_paths
 from slamfusion.evidence.path_frames import find_modes, fit_frame, lay_paths
 from slamfusion.geometry import Pose2, compose_poses, fit_motion, invert_poses, wrap_angles
 from slamfusion.trajectory import Trajectory
+from tests.evidence.rooms import by_steps
 
 Poses = np.ndarray
 SCANS = 240
@@ -37,20 +38,14 @@ def drifting(truth: Poses, share: float) -> Poses:
     """The same drive with each step longer by a share."""
     steps = compose_poses(invert_poses(truth[:-1]), truth[1:])
     steps[:, :2] *= 1.0 + share
-    poses = [truth[0]]
-    for step in steps:
-        poses.append(compose_poses(poses[-1], step))
-    return np.array(poses)
+    return compose_poses(truth[0], by_steps(steps))
 
 
 def turning(truth: Poses, rad: float) -> Poses:
     """The same drive with each step turned by a little more."""
     steps = compose_poses(invert_poses(truth[:-1]), truth[1:])
     steps[:, 2] += rad
-    poses = [truth[0]]
-    for step in steps:
-        poses.append(compose_poses(poses[-1], step))
-    return np.array(poses)
+    return compose_poses(truth[0], by_steps(steps))
 
 
 def broken_away(truth: Poses, first: int, motion: tuple[float, float, float]) -> Poses:
