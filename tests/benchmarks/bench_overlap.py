@@ -1,7 +1,7 @@
 """Align maps that share only a part, and maps that share nothing, and count what is believed.
 
     python -m tests.benchmarks.bench_overlap --processes 2 --jsonl out/overlap.jsonl
-    python -m tests.benchmarks.bench_overlap --limit 3 --only one-map --only cross-slam
+    python -m tests.benchmarks.bench_overlap --only one-map --only cross-slam
 
 Of pairs with a right answer each cell of the table counts: accepted and right / accepted and wrong
 / rejected, though the best candidate is right / rejected and not found, of how many. A second table
@@ -15,12 +15,11 @@ import hashlib
 import json
 import multiprocessing
 from collections import Counter, OrderedDict
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, TextIO
 
-import numpy as np
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
@@ -45,9 +44,9 @@ OUTCOMES = ("accepted right", "accepted wrong", "found, rejected", "not found")
 WALL_ENOUGH_M = 10
 
 
-# A pair: how it was made (metres, degrees), how near the answer is, and ``align --json``. Of whole
-# maps axis and sides are None, and errors where there is no right answer. ``common_walls`` are the
-# wall cells on the ground in common, of the map that has fewer there.
+# A pair: how it was made (metres, degrees), how near the answer is (None where there is no right
+# one), and ``align --json``. ``common_walls``: the wall cells on the ground in common, of the map
+# that has fewer there.
 Result = dict[str, Any]
 
 
@@ -80,7 +79,7 @@ class Aligner:
         reference, moving = (self.feature(grid, size) for grid in (case.reference, case.moving))
         record = align_pair(Pair(reference, moving), self.config.align)
         error = case.error(record.transform)
-        is_right, is_cut = case.is_right(record.transform), draft.reference.axis is not None
+        is_right = case.is_right(record.transform)
         return {
             "name": case.name,
             "what": case.what,
@@ -88,9 +87,6 @@ class Aligner:
             "seed": draft.seed,
             "reference_map": draft.reference.source,
             "moving_map": draft.moving.source,
-            "axis": draft.reference.axis,
-            "reference_side": draft.reference.side if is_cut else None,
-            "moving_side": draft.moving.side if is_cut else None,
             "overlap": case.overlap,
             "common_walls": case.common_walls,
             "common_wall_m": case.common_walls * case.reference.resolution,
@@ -124,30 +120,15 @@ def results_of(
         yield from pool.imap_unordered(_work, drafts, chunksize=8)
 
 
-def chosen(names: Iterable[str], seed: int, limit: int | None) -> list[Draft]:
-    """Return the drafts of some sets, at most ``limit`` of each set and overlap, seeded."""
-    rng = np.random.default_rng(seed)
-    drafts: list[Draft] = []
-    for name in names:
-        cells: dict[float, list[Draft]] = {}
-        for draft in SETS[name](seed):
-            # Whole maps and halves that have no right answer are one cell.
-            cells.setdefault(draft.overlap if draft.has_truth else 0.0, []).append(draft)
-        for cell in cells.values():
-            count = len(cell) if limit is None else min(limit, len(cell))
-            picked = sorted(rng.choice(len(cell), count, replace=False))
-            drafts.extend(_in_blocks([cell[index] for index in picked]))
-    return drafts
-
-
-def _in_blocks(drafts: list[Draft]) -> list[Draft]:
-    """Order pairs so that few maps are in use at a time."""
+def in_blocks(drafts: list[Draft]) -> list[Draft]:
+    """Order pairs so that few maps are in use at a time, and halves of each overlap together."""
     sources = sorted({part.source for draft in drafts for part in (draft.reference, draft.moving)})
     place = {source: index for index, source in enumerate(sources)}
 
-    def key(draft: Draft) -> tuple[int, int, str, str]:
-        a, b = place[draft.reference.source], place[draft.moving.source]
-        return a // BLOCK_MAPS, b // BLOCK_MAPS, draft.reference.name, draft.moving.name
+    def key(draft: Draft) -> tuple[float, int, int, str, str]:
+        overlap = draft.overlap if draft.has_truth else 0.0
+        a, b = (place[part.source] // BLOCK_MAPS for part in (draft.reference, draft.moving))
+        return overlap, a, b, draft.reference.name, draft.moving.name
 
     return sorted(drafts, key=key)
 
@@ -197,17 +178,9 @@ def print_believed(results: list[Result], console: Console) -> None:
             console.print(f"WRONG: {result['name']}{off}: {reason}", markup=False)
 
 
-def print_all(results: list[Result], console: Console) -> None:
-    """Print every table."""
-    results = sorted(results, key=lambda result: result["name"])
-    print_found(results, console)
-    print_believed(results, console)
-
-
 def main() -> None:
     parser = bench_parser(__doc__)
-    parser.add_argument("--seed", type=int, default=1, help="of yaws, origins, specks, samples")
-    parser.add_argument("--limit", type=int, help="pairs of each set and overlap; default: all")
+    parser.add_argument("--seed", type=int, default=1, help="of yaws, origins, specks")
     parser.add_argument("--only", choices=tuple(SETS), action="append", help="default: all")
     parser.add_argument("--jsonl", type=Path, help="file for one line a pair")
     parser.add_argument("--processes", type=int, default=1)
@@ -217,7 +190,7 @@ def main() -> None:
     if not MAPS.is_dir() and set(names) != {"simulated"}:
         parser.error(ABSENT + ", or ask for --only simulated")
     console = console_for("overlap", arguments.record, width=160)
-    drafts = chosen(names, arguments.seed, arguments.limit)
+    drafts = [draft for name in names for draft in in_blocks(list(SETS[name](arguments.seed)))]
     results: list[Result] = []
     left_out: Counter[str] = Counter()
     with ExitStack() as stack:
@@ -233,7 +206,9 @@ def main() -> None:
             results.append(result)
             if file is not None:
                 print(json.dumps(plain(result), allow_nan=False), file=file, flush=True)
-    print_all(results, console)
+    results.sort(key=lambda result: result["name"])
+    print_found(results, console)
+    print_believed(results, console)
     for what, count in left_out.items():
         console.print(f"{what}: {count} pairs with too few walls in common were left out")
 
