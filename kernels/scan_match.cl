@@ -5,7 +5,7 @@
  * contraction, for the same reason. Loops over the hits have no branches and no short vectors, and
  * hits lie side by side: so they turn into vector gathers.
  * Method: Olson, ICRA 2009 (score of a pose as the sum over the hits of a wall likelihood).
- * Twin: slamfusion/compute/scan_match.py; score_smooth and score_wide are score_poses.
+ * Twin: slamfusion/compute/scan_match.py; score_smooth is score_poses, look and climb are search.
  */
 #pragma OPENCL FP_CONTRACT OFF
 #include "common.h"
@@ -17,12 +17,14 @@
 /* The last item of a work-group of climb_maps that tries a step. */
 #define CORNERS 14
 
-/* Four bytes from any place, the first the lowest: one word is one gather. Of TWO_BYTES the higher ones are
- * anything. */
+/* Four bytes from any place, the first the lowest: one word is one gather, and one byte is none. Of
+ * TWO_BYTES the higher ones are anything. */
 #ifdef UNALIGNED_WORDS
 #define FOUR_BYTES(cells, at) (*(__global const uint *)((cells) + (at)))
 #define TWO_BYTES FOUR_BYTES
+#define ONE_BYTE(cells, at) ((uchar)FOUR_BYTES(cells, at))
 #else
+#define ONE_BYTE(cells, at) (cells)[at]
 #define TWO_BYTES(cells, at) ((uint)(cells)[at] | (uint)(cells)[(at) + 1] << 8)
 #define FOUR_BYTES(cells, at) (TWO_BYTES(cells, at) | TWO_BYTES(cells, (at) + 2) << 16)
 #endif
@@ -68,40 +70,33 @@ INLINE int smooth_sum(
 
 /* -- a window of one map's field, dense: a quarter of the gathers ------------------------------- */
 
-/* Copy a rectangle of a tiled map's field; a work item does a row.
+/* Copy a rectangle of pages of a tiled map's field; a work item does a page.
  *
  * field    uchar, `across` cells per row of a tile, `step` bytes per cell, the first of them the value
  * pages    int, pages_wide per row
- * first    x and y of the window's first cell, in cells of the pages
- * cells    uchar, width x height
- * Global: (height).
+ * first    column and row of the window's first page
+ * cells    uchar, TILE times width x height
+ * Global: (width * height).
  */
 __kernel void copy_window(
     __global const uchar *field, const int across, const int step, __global const int *pages,
     const int pages_wide, const int first_x, const int first_y, const int width,
     const int height, __global uchar *restrict cells) {
-  const int row = get_global_id(0), y = first_y + row;
-  if (row >= height) {
+  const int item = get_global_id(0), x = item % width, y = item / width;
+  if (y >= height) {
     return;
   }
-  __global const int *own = pages + (y >> TILE_SHIFT) * pages_wide;
-  __global uchar *restrict line = cells + row * width;
-  for (int i = 0; i < width;) {
-    const int x = first_x + i, inside = x & TILE_MASK, run = LOWER(TILE - inside, width - i);
-    const int tile_row = own[x >> TILE_SHIFT] * TILE + (y & TILE_MASK);
-    __global const uchar *from = field + ((size_t)tile_row * across + inside) * step;
-    if (run == TILE && step == 1) {
-      STORE32(LOAD32(from), line + i);
-    } else if (run == TILE && step == 2) {
-      for (int k = 0; k < TILE; k++) {
-        line[i + k] = from[2 * k];
-      }
+  const int tile = pages[(first_y + y) * pages_wide + first_x + x];
+  __global const uchar *from = field + (size_t)tile * TILE * across * step;
+  __global uchar *restrict to = cells + ((size_t)y * TILE * width + x) * TILE;
+  for (int row = 0; row < TILE; row++, from += across * step, to += width * TILE) {
+    if (step == 1) {
+      STORE32(LOAD32(from), to);
     } else {
-      for (int k = 0; k < run; k++) {
-        line[i + k] = from[k * step];
+      for (int k = 0; k < TILE; k++) {
+        to[k] = from[k * step];
       }
     }
-    i += run;
   }
 }
 
@@ -161,38 +156,6 @@ __kernel void score_smooth(
   sums[item] = sum;
 }
 
-/* Sum of the greatest field value of five cells: the one under the hit and the four corners of a
- * square around it, `reach` cells away. A wide and cheap basin for the first look. */
-__kernel void score_wide(
-    __global const uchar *cells, const int first_x, const int first_y, const int width,
-    const int height, __global const float *points, const int count,
-    __global const float4 *poses, const int n, const int reach, __global int *sums) {
-  const int item = get_global_id(0);
-  if (item >= n) {
-    return;
-  }
-  const float4 pose = poses[item];
-  const int last_x = width - 1, last_y = height - 2;
-  int sum = 0;
-  IN_LANES
-  for (int i = 0; i < WHOLE_LANES(count); i++) {
-    const float px = points[2 * i], py = points[2 * i + 1];
-    const int col = (int)(pose.x + (pose.z * px - pose.w * py)) - first_x;
-    const int row = (int)(pose.y + (pose.w * px + pose.z * py)) - first_y;
-    const int x = LOWER(HIGHER(col, 0), last_x), y = LOWER(HIGHER(row, 0), last_y) * width;
-    const int left = LOWER(HIGHER(col - reach, 0), last_x);
-    const int right = LOWER(HIGHER(col + reach, 0), last_x);
-    const int below = LOWER(HIGHER(row - reach, 0), last_y) * width;
-    const int above = LOWER(HIGHER(row + reach, 0), last_y) * width;
-    const int a = cells[y + x], b = cells[below + left], c = cells[below + right];
-    const int d = cells[above + left], e = cells[above + right];
-    const int low = b > c ? b : c, high = d > e ? d : e;
-    const int corner = low > high ? low : high;
-    sum += i < count ? (a > corner ? a : corner) : 0;
-  }
-  sums[item] = sum;
-}
-
 /* Loss of a pose (x, y, yaw) that leaves all of some hypotheses: the least over the hypotheses of the
  * weighted squares of its distances plus the hypothesis' own loss.
  *
@@ -211,11 +174,71 @@ INLINE float pose_loss(
   return least;
 }
 
-/* Climb from some poses over a window: each work-group takes one; in each round its items try a step
- * each from the group's best pose, and the best of them (the first of equals) is where the next round
- * starts.
+/* Look at poses on wide basins: a hit counts the greatest field value of five cells, the one under it and
+ * the four corners of a square around it, `reach` cells away. A climb starts from the best of them.
  *
- * starts   float, START_FLOATS per group: x, y in cells of the pages, yaw, cos, sin
+ * hypotheses  as for pose_loss
+ * poses       float, START_FLOATS per pose: x, y in cells of the pages, yaw, cos, sin; the first are the
+ *             hypotheses' own, which are not looked at
+ * scale       from a sum of the field to a score
+ * values      float, one per pose: score less loss
+ */
+__kernel void look(
+    __global const uchar *cells, const int first_x, const int first_y, const int width,
+    const int height, __global const float *points, const int count,
+    __global const float *hypotheses, const int hypothesis_count, __global const float *poses,
+    const int n, const int reach, const float scale, __global float *values) {
+  const int item = get_global_id(0);
+  if (item >= n) {
+    return;
+  }
+  __global const float *own = poses + START_FLOATS * (hypothesis_count + item);
+  const float4 pose = (float4)(own[0], own[1], own[3], own[4]);
+  const int last_x = width - 1, last_y = height - 2;
+  int sum = 0;
+  IN_LANES
+  for (int i = 0; i < WHOLE_LANES(count); i++) {
+    const float px = points[2 * i], py = points[2 * i + 1];
+    const int col = (int)(pose.x + (pose.z * px - pose.w * py)) - first_x;
+    const int row = (int)(pose.y + (pose.w * px + pose.z * py)) - first_y;
+    const int x = LOWER(HIGHER(col, 0), last_x), y = LOWER(HIGHER(row, 0), last_y) * width;
+    const int left = LOWER(HIGHER(col - reach, 0), last_x);
+    const int right = LOWER(HIGHER(col + reach, 0), last_x);
+    const int below = LOWER(HIGHER(row - reach, 0), last_y) * width;
+    const int above = LOWER(HIGHER(row + reach, 0), last_y) * width;
+    const int a = ONE_BYTE(cells, y + x);
+    const int b = ONE_BYTE(cells, below + left), c = ONE_BYTE(cells, below + right);
+    const int d = ONE_BYTE(cells, above + left), e = ONE_BYTE(cells, above + right);
+    const int low = b > c ? b : c, high = d > e ? d : e;
+    const int corner = low > high ? low : high;
+    sum += i < count ? (a > corner ? a : corner) : 0;
+  }
+  values[item] =
+      (float)sum * scale - pose_loss(hypotheses, hypothesis_count, own[0], own[1], own[2]);
+}
+
+/* The pose of a rank by value, from 0, the first of equals ahead. */
+INLINE int ranked(__global const float *values, const int n, const int rank) {
+  int found = -1;
+  float last = INFINITY;
+  for (int k = 0; k <= rank; k++) {
+    int best = -1;
+    for (int i = 0; i < n; i++) {
+      const int is_left = values[i] < last || (values[i] == last && i > found);
+      best = is_left && (best < 0 || values[i] > values[best]) ? i : best;
+    }
+    found = best;
+    last = values[best];
+  }
+  return found;
+}
+
+/* Climb over a window from the best of the poses that `look` has seen, and then from the hypotheses' own:
+ * each work-group takes one; in each round its items try a step each from the group's best pose, and the
+ * best of them (the first of equals) is where the next round starts.
+ *
+ * poses    as for `look`
+ * values   of `look`, of n poses
  * steps    float, START_FLOATS per round, group and item: dx, dy, dyaw, cos, sin of dyaw
  * scale    from a sum of the field to a score
  * found    float, FOUND_FLOATS per group: x, y, yaw, cos, sin, score less loss
@@ -225,16 +248,20 @@ INLINE float pose_loss(
 __kernel __attribute__((reqd_work_group_size(CLIMBERS, 1, 1))) void climb(
     __global const uchar *cells, const int first_x, const int first_y, const int width,
     const int height, __global const float *points, const int count,
-    __global const float *hypotheses, const int hypothesis_count, __global const float *starts,
-    __global const float *steps, const int rounds, const float scale, __global float *found) {
+    __global const float *hypotheses, const int hypothesis_count, __global const float *poses,
+    __global const float *values, const int n, __global const float *steps, const int rounds,
+    const float scale, __global float *found) {
   const int item = get_local_id(0), group = get_group_id(0), groups = get_num_groups(0);
   const int4 window = (int4)(first_x, first_y, width, height);
   __local float tried[CLIMBERS][START_FLOATS];
-  __local float values[CLIMBERS];
+  __local float told[CLIMBERS];
   __local float best[FOUND_FLOATS];
   if (item == 0) {
+    const int looked = groups - hypothesis_count;
+    const int start =
+        group < looked ? hypothesis_count + ranked(values, n, group) : group - looked;
     for (int k = 0; k < START_FLOATS; k++) {
-      best[k] = starts[START_FLOATS * group + k];
+      best[k] = poses[START_FLOATS * start + k];
     }
   }
   barrier(CLK_LOCAL_MEM_FENCE);
@@ -246,7 +273,7 @@ __kernel __attribute__((reqd_work_group_size(CLIMBERS, 1, 1))) void climb(
     const float sin = best[4] * step[3] + best[3] * step[4];
     const float4 pose = (float4)(x, y, cos, sin);
     const int sum = window_sum(cells, window, points, count, pose);
-    values[item] = (float)sum * scale - pose_loss(hypotheses, hypothesis_count, x, y, yaw);
+    told[item] = (float)sum * scale - pose_loss(hypotheses, hypothesis_count, x, y, yaw);
     tried[item][0] = x;
     tried[item][1] = y;
     tried[item][2] = yaw;
@@ -256,12 +283,12 @@ __kernel __attribute__((reqd_work_group_size(CLIMBERS, 1, 1))) void climb(
     if (item == 0) {
       int winner = 0;
       for (int k = 1; k < CLIMBERS; k++) {
-        winner = values[k] > values[winner] ? k : winner;
+        winner = told[k] > told[winner] ? k : winner;
       }
       for (int k = 0; k < START_FLOATS; k++) {
         best[k] = tried[winner][k];
       }
-      best[START_FLOATS] = values[winner];
+      best[START_FLOATS] = told[winner];
     }
     barrier(CLK_LOCAL_MEM_FENCE);
   }

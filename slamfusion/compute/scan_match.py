@@ -14,6 +14,7 @@ import numpy as np
 from slamfusion.compute.arrays import ArrayDevice, DeviceArray, host
 from slamfusion.compute.layout import (
     CLIMBERS,
+    FIELD_ONE,
     FOUND_FLOATS,
     HIT_LANES,
     SIXTEENTHS,
@@ -26,8 +27,8 @@ from slamfusion.geometry import F32, F64, I32, I64, U16
 
 # A table of smooth values that changes none.
 SAME: I32 = np.arange(TABLE_LAST + 1, dtype=np.int32)
-# Cells a side that a window has at least: a hit reads two, and a word of four.
-LEAST_WINDOW = 4
+# What moves points in a pose x, y, yaw, cos, sin.
+_MOVED = [0, 1, 3, 4]
 
 
 class FieldWindow(NamedTuple):
@@ -113,13 +114,13 @@ def _ways() -> I64:
     return np.array([(0, 0, 0), *axes, *diagonals, (0, 0, 0)], dtype=np.int64)
 
 
-def _span(low: float, high: float, size: int) -> tuple[int, int]:
-    """Return the first cell and the number of cells of a window along one side of a map."""
-    first = min(max(math.floor(low), 0), size - LEAST_WINDOW)
-    return first, min(max(math.ceil(high), first + LEAST_WINDOW), size) - first
+def _span(low: float, high: float, pages: int) -> tuple[int, int]:
+    """Return the first page and the end of a window along one side of a map."""
+    first = min(max(math.floor(low / TILE), 0), pages - 1)
+    return first, min(max(math.ceil(high / TILE), first + 1), pages)
 
 
-def upload_hits(points: F32, device: ArrayDevice) -> DeviceArray[np.float32]:
+def upload_hits(points: F32 | F64, device: ArrayDevice) -> DeviceArray[np.float32]:
     """Bring a scan's hits (P, 2), cells, in the robot's frame, to a device; see ``HIT_LANES``."""
     padded = np.zeros((-(-len(points) // HIT_LANES) * HIT_LANES, 2), dtype=np.float32)
     padded[: len(points)] = points
@@ -142,40 +143,31 @@ class ScanMatchDevice(ArrayDevice):
         low: Sequence[float] | F64 | I64,
         high: Sequence[float] | F64 | I64,
     ) -> FieldWindow:
-        """Return the part of a map between two corners, x and y each in cells of its pages.
+        """Return the pages of a map between two corners, x and y each in cells of its pages.
 
         Its field is of either kind.
         """
-        height, width = pages.shape
-        x, cols = _span(low[0], high[0], width * TILE)
-        y, rows = _span(low[1], high[1], height * TILE)
+        width = pages.shape[1]
+        left, right = _span(low[0], high[0], width)
+        bottom, top = _span(low[1], high[1], pages.shape[0])
+        first, cols, rows = (left * TILE, bottom * TILE), right - left, top - bottom
         if self.opencl:
             cells = self.opencl.launch_new(
-                (rows, cols), np.uint8, "copy_window", (rows,), field, field.shape[2],
-                field.dtype.itemsize, pages, width, x, y, cols, rows,
+                (rows * TILE, cols * TILE), np.uint8, "copy_window", (rows * cols,), field,
+                field.shape[2], field.dtype.itemsize, pages, width, left, bottom, cols, rows,
             )  # fmt: skip
-            return FieldWindow(cells, (x, y))
-        tiles = host(field)[host(pages)][..., :TILE].astype(np.uint8)
-        whole = tiles.transpose(0, 2, 1, 3).reshape(height * TILE, width * TILE)
-        return FieldWindow(np.asarray(whole[y : y + rows, x : x + cols]), (x, y))
+            return FieldWindow(cells, first)
+        tiles = host(field)[host(pages)[bottom:top, left:right]][..., :TILE].astype(np.uint8)
+        return FieldWindow(tiles.transpose(0, 2, 1, 3).reshape(rows * TILE, cols * TILE), first)
 
     def score_poses(
-        self,
-        window: FieldWindow,
-        points: DeviceArray[np.float32],
-        poses: F32,
-        *,
-        reach: int = 0,
-        table: I32 = SAME,
+        self, window: FieldWindow, points: DeviceArray[np.float32], poses: F32, *, table: I32 = SAME
     ) -> I64:
-        """Sum the score field under a scan's points at each candidate pose.
+        """Sum the smooth score field under a scan's points at each candidate pose.
 
         Args:
             poses: (N, 4) float32: x, y in cells of the pages, cos, sin.
-            reach: 0 interpolates between cell centres, in sixteenths; otherwise the greatest of
-                five cells counts: the one under the point and four, ``reach`` cells away
-                    diagonally.
-            table: (256,) int32, what an interpolated value counts.
+            table: (256,) int32, what a value between cell centres, in sixteenths, counts.
 
         Returns:
             (N,) int64 sums.
@@ -183,50 +175,70 @@ class ScanMatchDevice(ArrayDevice):
         if self.opencl:
             n = len(poses)
             sums = self.opencl.launch_into(
-                np.empty(n, dtype=np.int32), "score_wide" if reach else "score_smooth", (n,),
-                *_arguments(window), points, points.shape[0], self.opencl.wrap_host(poses), n,
-                reach or self.opencl.table(table),
+                np.empty(n, dtype=np.int32), "score_smooth", (n,), *_arguments(window), points,
+                points.shape[0], self.opencl.wrap_host(poses), n, self.opencl.table(table),
             )  # fmt: skip
             return sums.astype(np.int64)
         east, north = move_points(host(points), poses)
-        if reach:
-            return np.asarray(_wide(window, east, north, reach).sum(axis=1))
         return np.asarray(table[_smooth(window, east, north)].sum(axis=1, dtype=np.int64))
 
-    def climb(
+    def search(
         self,
         window: FieldWindow,
         points: DeviceArray[np.float32],
         hypotheses: F32,
-        starts: F32,
+        poses: F32,
         steps: F32,
         *,
-        scale: float,
+        reach: int,
     ) -> F32:
-        """Climb from some poses by rounds of random steps; every climber keeps to itself.
+        """Look at poses, and climb from the best of them and from hypotheses.
 
-        In each round ``CLIMBERS`` steps are tried from the climber's best pose, and the best of the
-        poses they lead to, the first of equals, is where its next round starts. What counts is the
-        sum of the smooth score field times ``scale``, less the least over the hypotheses of the
-        weighted squares of the distances from it plus its own loss.
+        The first look takes every second point, those in the first half, and counts the greatest of
+        five cells: the one under the point and four, ``reach`` cells away diagonally. A climb goes
+        by rounds of random steps; every climber keeps to itself. In each round ``CLIMBERS`` steps
+        are tried from the climber's best pose, and the best of the poses they lead to, the first of
+        equals, is where its next round starts. What counts is the mean of the (smooth) score field,
+        0 to 1, less the least over the hypotheses of the weighted squares of the distances from it
+        plus its own loss.
 
         Args:
             hypotheses: (K, 7) float32: x, y, yaw, the weights of their squares, its own loss.
-            starts: (G, 5) float32: x, y in cells of the pages, yaw, cos, sin.
-            steps: (R, G, 5) float32: dx, dy, dyaw, cos and sin of dyaw. R at least 1.
+            poses: (K + N, 5) float32: x, y in cells of the pages, yaw, cos, sin; first those of the
+                hypotheses, from which climbs start anyway.
+            steps: (R, G, CLIMBERS, 5) float32: dx, dy, dyaw, cos and sin of dyaw. R at least 1,
+                G at least K and at most K + N.
 
         Returns:
             (G, 6) float32: x, y, yaw, cos, sin and the value of where each climber ended.
         """
+        first, second = -(-points.shape[0] // 2), points.shape[0]
+        scales = [1.0 / (FIELD_ONE * count) for count in (first, second)]
+        own, climbers = len(hypotheses), steps.shape[1]
+        count = len(poses) - own
         if self.opencl:
-            return self.opencl.launch_into(
-                np.empty((len(starts), FOUND_FLOATS), dtype=np.float32), "climb",
-                (len(starts) * CLIMBERS,), *_arguments(window), points, points.shape[0],
-                self.opencl.wrap_host(hypotheses), len(hypotheses), self.opencl.wrap_host(starts),
-                self.opencl.wrap_host(steps), len(steps), scale,
+            wrap = self.opencl.wrap_host
+            scan, given = (*_arguments(window), points), (wrap(hypotheses), own, wrap(poses))
+            looks = self.opencl.launch_new(
+                (count,), np.float32, "look", (count,), *scan, first, *given, count, reach,
+                scales[0],
             )  # fmt: skip
-        best = starts.copy()
-        values = np.zeros(len(starts), dtype=np.float32)
+            return self.opencl.launch_into(
+                np.empty((climbers, FOUND_FLOATS), dtype=np.float32), "climb",
+                (climbers * CLIMBERS,), *scan, second, *given, looks, count, wrap(steps),
+                len(steps), scales[1],
+            )  # fmt: skip
+
+        def less_loss(sums: I64, scale: float, at: F32) -> F32:
+            losses = _losses(at[..., None, :], hypotheses).min(axis=-1)
+            return np.asarray(sums.astype(np.float32) * np.float32(scale) - losses)
+
+        looked = poses[own:]
+        sums = _wide(window, *move_points(host(points)[:first], looked[:, _MOVED]), reach)
+        values = less_loss(sums.sum(axis=1), scales[0], looked)
+        order = np.argsort(-values, kind="stable")[: climbers - own]
+        best = np.concatenate((looked[order], poses[:own]))
+        each = np.arange(climbers)
         for step in steps:
             x, y, yaw, cos, sin = (best[:, None, k] for k in range(5))
             turned = (
@@ -236,15 +248,11 @@ class ScanMatchDevice(ArrayDevice):
             tried = np.stack(
                 (x + step[..., 0], y + step[..., 1], yaw + step[..., 2], *turned), axis=-1
             )
-            poses = tried[..., [0, 1, 3, 4]].reshape(-1, 4)
-            sums = self.score_poses(window, points, poses)
-            losses = _losses(tried[:, :, None], hypotheses)
-            told = sums.reshape(tried.shape[:2]).astype(np.float32) * np.float32(scale)
-            value = told - losses.min(axis=-1)
-            winner = value.argmax(axis=1)
-            each = np.arange(len(starts))
-            best, values = tried[each, winner], value[each, winner]
-        return np.concatenate((best, values[:, None]), axis=1)
+            sums = self.score_poses(window, points, tried[..., _MOVED].reshape(-1, 4))
+            values = less_loss(sums.reshape(tried.shape[:2]), scales[1], tried)
+            winner = values.argmax(axis=1)
+            best = tried[each, winner]
+        return np.concatenate((best, values[each, winner, None]), axis=1)
 
     def climb_maps(
         self,
@@ -261,11 +269,11 @@ class ScanMatchDevice(ArrayDevice):
         """Climb on each of many maps by steps along the axes and diagonals of (x, y, yaw).
 
         The best of a try's poses, the first of equals, is where the next one starts; where staying
-        is best the next smaller step follows. What counts is as for ``climb``, with one hypothesis
+        is best the next smaller step follows. What counts is as for ``search``, with one hypothesis
         a map.
 
         Args:
-            hypotheses: (N, 7) float32, as for ``climb``.
+            hypotheses: (N, 7) float32, as for ``search``.
             starts: (N, 5) float32: x, y in cells of the window, yaw, cos, sin.
             sizes: (S, 4) float32: cells, radians, their cos and sin; largest first.
             tries: steps tried in all, at most; at least 1.
@@ -295,7 +303,7 @@ class ScanMatchDevice(ArrayDevice):
                 turned = best[3] * dcos - best[4] * dsin, best[4] * dcos + best[3] * dsin
                 moved = best[:2] + ways[:, :2] * cells, best[2] + turn * radians
                 tried = np.column_stack((*moved, *turned))
-                found_values = _smooth_pairs(host(field), own, host(points), tried[:, [0, 1, 3, 4]])
+                found_values = _smooth_pairs(host(field), own, host(points), tried[:, _MOVED])
                 losses = _losses(tried, hypothesis)
                 values = found_values.sum(axis=1).astype(np.float32) * np.float32(scale) - losses
                 winner = int(values.argmax())

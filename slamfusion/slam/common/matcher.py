@@ -15,33 +15,34 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import reduce
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.compute.arrays import DeviceArray
-from slamfusion.compute.layout import CLIMBERS
-from slamfusion.compute.scan_match import FieldWindow, upload_hits
-from slamfusion.geometry import F32, F64, corners, wrap_angle, wrap_angles
+from slamfusion.compute.layout import (
+    CLIMBERS,
+    FIELD_ONE,
+    HYPOTHESIS_FLOATS,
+    START_FLOATS,
+    TABLE_LAST,
+)
+from slamfusion.compute.scan_match import SAME, FieldWindow, upload_hits
+from slamfusion.geometry import F32, F64, I32, I64, corners, wrap_angle
 
 # Distance, metres, between the five cells whose maximum the first look uses: the draws' spacing.
 WIDE_REACH_M = 0.15
-# Share of the poses' box by which the copied part of the field is wider on each side.
-WINDOW_ROOM = 0.5
 # Number of different cells with hits below which a scan has less weight than the hypotheses assume.
 TELLING_CELLS = 100.0
-# Larger than any column: combines a row and a column into one number.
-_ROW_STRIDE = 1 << 32
+# Combines a column and a row into one number, exact in float64.
+_CELL_NUMBER = np.array([2.0**32, 1.0])
 # Poses of the first look, the best of them from which a climb starts, and rounds of a climb.
 FIRST_POSES, STARTS, ROUNDS = 256, 6, 4
 # Score lost one spread from the expected place, and from the expected heading.
 PRIOR_WEIGHT_XY, PRIOR_WEIGHT_YAW = 0.04, 0.005
-# Share of the spread that hill climbing begins with, and share that is left of a step after each
-# round: by the last one steps are far below a cell.
-FIRST_NARROWING, NARROWING = 0.4, 0.5
+# Shares of the spread that the steps of a climb have, by round: by the last one far below a cell.
+NARROWINGS = 0.4 * 0.5 ** np.arange(ROUNDS)
 
 
 def spread_of(xy_m: float, yaw_rad: float) -> F64:
@@ -110,101 +111,63 @@ class ScanOnTiles:
         self, device: ComputeDevice, walls: FieldMap, points: F64, most_points: int
     ) -> None:
         """Upload hits (P, 2), metres in the robot's frame, thinned to at most ``most_points``."""
+        self.walls = walls
         self._device = device
-        self._walls = walls
-        self._cell = resolution = walls.resolution
-        self._corner = walls.corner
-        hits = points / resolution
+        hits = points / walls.resolution
         every = -(-len(points) // most_points)
-        seconds = hits[:: 2 * every], hits[every :: 2 * every]
-        looked_at = np.concatenate(seconds).astype(np.float32)
-        self._points = upload_hits(looked_at, device)
         # The first, wide look takes every second of them.
-        self._few_points = self._points[: -(-len(looked_at) // 2)]
-        col, row = np.floor(hits).astype(np.int64).T
-        cells = np.sort(col * _ROW_STRIDE + row)
+        looked_at = np.concatenate((hits[:: 2 * every], hits[every :: 2 * every]))
+        self._points = upload_hits(looked_at, device)
+        cells = np.sort(np.floor(hits) @ _CELL_NUMBER)
         self.cells = 1 + int(np.count_nonzero(cells[1:] != cells[:-1]))
-        self._reach = max(1, round(WIDE_REACH_M / resolution))
-        # A dense copy of the field around the poses so far, and the corners of their box, in cells
-        # of the pages.
+        self._reach = max(1, round(WIDE_REACH_M / walls.resolution))
+        # A dense copy of the field around some poses, and the corners of their box, in cells of the
+        # pages.
         self._window: FieldWindow
         self._box = (math.inf, math.inf, -math.inf, -math.inf)
-        self._range = float(np.hypot(*looked_at.T).max()) + self._reach + 2.0
+        self._range = math.sqrt((looked_at * looked_at).sum(axis=1).max()) + self._reach + 2.0
 
-    def scores(self, poses: F64, *, wide: bool = False) -> F64:
-        """Return (N,) scores, 0 to 1, of poses (N, 3): mean wall value under the hits.
-
-        If ``wide``, on wide basins, by half of the hits.
-        """
-        points = self._few_points if wide else self._points
-        table = pose_table(poses, self._cell, self._corner)
-        window, reach = self._window_at(table, 0.0), self._reach if wide else 0
-        sums = self._device.score_poses(window, points, table, reach=reach)
-        return np.asarray(sums * _scale(points))
+    def scores(self, poses: F64) -> F64:
+        """Return (N,) scores, 0 to 1, of poses (N, 3): mean wall value under the hits."""
+        return np.asarray(self._sums(poses) * (1.0 / (FIELD_ONE * self._points.shape[0])))
 
     def unseen_share(self, pose: F64, unseen: int) -> float:
         """Return the share of the hits at a pose (3,) whose field value is ``unseen``."""
-        table = np.zeros(256, dtype=np.int32)
+        table = np.zeros(TABLE_LAST + 1, dtype=np.int32)
         table[unseen] = 1
-        poses = pose_table(pose[None], self._cell, self._corner)
-        window = self._window_at(poses, 0.0)
-        sums = self._device.score_poses(window, self._points, poses, table=table)
-        return float(sums[0] / self._points.shape[0])
+        return float(self._sums(pose[None], table)[0] / self._points.shape[0])
 
-    def hill_climb(
-        self, starts: F64, steps: F64, hypotheses: tuple[F64, F64, F64], weights: F64
-    ) -> tuple[F64, float]:
-        """Run hill climbing by rounds of random steps; return the best pose and its objective.
+    def _sums(self, poses: F64, table: I32 = SAME) -> I64:
+        at = pose_table(poses, self.walls.resolution, self.walls.corner)
+        low, high = corners(at)
+        window = self._window_at(*low.tolist(), *high.tolist())
+        return self._device.score_poses(window, self._points, at, table=table)
 
-        Args:
-            starts: (G, 3) poses.
-            steps: (R, G, CLIMBERS, 3) in metres and radians.
-            hypotheses: (K, 3) poses, (K, 3) spreads and (K,) losses.
-            weights: (3,) loss at one spread from a hypothesis, along x, y and yaw.
+    def search(self, hypotheses: F32, poses: F32, steps: F32, away: float) -> list[float]:
+        """Return x, y, yaw and the objective of the best pose; see ``ScanMatchDevice.search``.
+
+        ``away`` is how far from a hypothesis poses may lie, in cells of the pages.
         """
-        cell, corner, (centres, sigmas, own) = self._cell, self._corner, hypotheses
-        # In cells of the pages; headings near 0, within float32's precision.
-        poses, yaw0 = np.concatenate((starts, centres)), centres[0, 2]
-        yaws = poses[:, 2]
-        turned = (wrap_angles(yaws - yaw0), np.cos(yaws), np.sin(yaws))
-        first = np.column_stack((poses[:, :2] / cell - corner, *turned))
-        losses = np.empty((len(centres), 7), dtype=np.float32)
-        losses[:, :3], losses[:, 6] = first[len(starts) :, :3], own
-        losses[:, 3:6] = weights / (sigmas / (cell, cell, 1.0)) ** 2
-        first = first[: len(starts)]
-        table = np.empty((*steps.shape[:3], 5), dtype=np.float32)
-        table[..., :2], table[..., 2] = steps[..., :2] / cell, steps[..., 2]
-        table[..., 3], table[..., 4] = np.cos(steps[..., 2]), np.sin(steps[..., 2])
-        farthest = np.abs(table[..., 0]), np.abs(table[..., 1])
-        farther = np.array([one.max(axis=(1, 2)).sum() for one in farthest])
-        found = self._device.climb(
-            self._window_at(first, farther),
-            self._points,
-            losses,
-            first.astype(np.float32),
-            table,
-            scale=_scale(self._points),
+        x, y = hypotheses[:, 0].tolist(), hypotheses[:, 1].tolist()
+        window = self._window_at(min(x) - away, min(y) - away, max(x) + away, max(y) + away)
+        found = self._device.search(
+            window, self._points, hypotheses, poses, steps, reach=self._reach
         )
         x, y, yaw, _, _, objective = found[found[:, 5].argmax()].tolist()
-        place = (np.array((x, y)) + corner) * cell
-        return np.append(place, wrap_angle(yaw + yaw0)), objective
+        return [x, y, yaw, objective]
 
-    def _window_at(self, poses: npt.NDArray[Any], farther: F64 | float) -> FieldWindow:
-        """Return a window with all that hits reach at poses (N, 2 or more), cells, and around."""
-        if self._walls.whole is not None:
-            return self._walls.whole
-        low, high = corners(poses)
-        (left, bottom), (right, top) = (low - farther).tolist(), (high + farther).tolist()
+    def _window_at(self, left: float, bottom: float, right: float, top: float) -> FieldWindow:
+        """Return a window with all that hits reach at poses in a box, in cells of the pages."""
+        if self.walls.whole is not None:
+            return self.walls.whole
         west, south, east, north = self._box
         if left < west or bottom < south or right > east or top > north:
-            # Room for the climb that follows a first look.
-            x, y = WINDOW_ROOM * (right - left), WINDOW_ROOM * (top - bottom)
-            self._box = west, south, east, north = left - x, bottom - y, right + x, top + y
+            self._box, reach = (left, bottom, right, top), self._range
             self._window = self._device.field_window(
-                self._walls.field,
-                self._walls.pages,
-                (west - self._range, south - self._range),
-                (east + self._range, north + self._range),
+                self.walls.field,
+                self.walls.pages,
+                (left - reach, bottom - reach),
+                (right + reach, top + reach),
             )
         return self._window
 
@@ -220,11 +183,6 @@ def pose_table(poses: F64, cell: float, corner: F64) -> F32:
     return table
 
 
-def _scale(points: DeviceArray[Any]) -> float:
-    """Return the factor from a sum over points (P, 2) to a mean of 0 to 1."""
-    return 1.0 / (255.0 * int(points.shape[0]))
-
-
 def search_pose(
     scan: ScanOnTiles,
     hypotheses: Sequence[PoseHypothesis],
@@ -235,38 +193,61 @@ def search_pose(
     climbs: int = STARTS,
 ) -> Match:
     """Search around at least one hypothesis, with equal numbers of first poses."""
-    centres = np.array([one.pose for one in hypotheses])
-    sigmas = np.array([one.spread for one in hypotheses])
-    weights = np.array([PRIOR_WEIGHT_XY, PRIOR_WEIGHT_XY, PRIOR_WEIGHT_YAW])
+    centres = [one.pose.tolist() for one in hypotheses]
+    spreads = [one.spread.tolist() for one in hypotheses]
     # A mean over few cells is less certain, so the hypotheses weigh more.
-    weights *= max(1.0, TELLING_CELLS / scan.cells)
-    weights[:2] *= trust
+    weight = max(1.0, TELLING_CELLS / scan.cells)
+    weights = (PRIOR_WEIGHT_XY * weight * trust,) * 2 + (PRIOR_WEIGHT_YAW * weight,)
 
-    own = np.array([one.loss for one in hypotheses])
+    # In cells of the pages; headings near 0, within float32's precision.
+    corner, yaw0 = (*scan.walls.corner.tolist(), 0.0), centres[0][2]
+    units = (scan.walls.resolution, scan.walls.resolution, 1.0)
+    sigmas = np.array(spreads) / units
+    places = [
+        (x / units[0] - corner[0], y / units[1] - corner[1], wrap_angle(yaw - yaw0))
+        for x, y, yaw in centres
+    ]
+    losses = np.empty((len(hypotheses), HYPOTHESIS_FLOATS), dtype=np.float32)
+    losses[:, :3], losses[:, 3:6] = places, weights / sigmas**2
+    losses[:, 6] = [one.loss for one in hypotheses]
+    # The hypotheses themselves, the first look around them, and the steps of the climbs.
+    own, each = len(hypotheses), -(-first_poses // len(hypotheses))
+    looked, shape = own + own * each, (ROUNDS, climbs + own, CLIMBERS)
+    normals = rng.standard_normal((own * each + math.prod(shape), 3))
+    table = np.empty((own + len(normals), START_FLOATS))
+    table[:own, :3] = places
+    draws = table[own:looked].reshape(own, each, START_FLOATS)[..., :3]
+    np.multiply(normals[: own * each].reshape(draws.shape), sigmas[:, None], out=draws)
+    draws += table[:own, None, :3]
+    steps, widest = table[looked:].reshape(*shape, START_FLOATS)[..., :3], sigmas.max(axis=0)
+    widths = widest * NARROWINGS[:, None, None, None]
+    np.multiply(normals[own * each :].reshape(steps.shape), widths, out=steps)
+    steps[:, :, 0] = 0.0  # each round's first step keeps the best pose so far
+    yaws = table[:, 2].copy()
+    yaws[:looked] += yaw0
+    np.cos(yaws, out=table[:, 3])
+    np.sin(yaws, out=table[:, 4])
+    rows = table.astype(np.float32)
+    away = float(np.abs(normals).max() * widest[:2].max() * (1.0 + NARROWINGS.sum()))
+    *place, turn, objective = scan.search(
+        losses, rows[:looked], rows[looked:].reshape(*shape, -1), away
+    )
+    x, y = ((at + low) * unit for at, low, unit in zip(place, corner, units, strict=False))
+    yaw = wrap_angle(turn + yaw0)
 
-    def loss(poses: F64) -> F64:
-        away = poses[:, None, :] - centres
-        away[..., 2] = wrap_angles(away[..., 2])
-        return reduce(np.minimum, ((away / sigmas) ** 2 @ weights + own).T)
-
-    # The first look, and the hypotheses themselves.
-    each = -(-first_poses // len(hypotheses))
-    draws = rng.standard_normal((len(hypotheses), each, 3))
-    poses = (centres[:, None, :] + draws * sigmas[:, None, :]).reshape(-1, 3)
-    order = np.argsort(loss(poses) - scan.scores(poses, wide=True), kind="stable")
-    starts = np.concatenate((poses[order[:climbs]], centres))
-    # Hill climbing; each round's first step is zero, which keeps the best pose so far.
-    widths = sigmas.max(axis=0) * FIRST_NARROWING * NARROWING ** np.arange(ROUNDS)[:, None]
-    steps = rng.standard_normal((ROUNDS, len(starts), CLIMBERS, 3))
-    steps *= widths[:, None, None, :]
-    steps[:, :, 0] = 0.0
-    pose, objective = scan.hill_climb(starts, steps, (centres, sigmas, own), weights)
-    away = pose - centres[0]
-    away[2] = wrap_angle(away[2])
+    # Distances from the hypotheses, in spreads.
+    distances = [
+        ((x - at_x) / sigma_x, (y - at_y) / sigma_y, wrap_angle(yaw - at_yaw) / sigma_yaw)
+        for (at_x, at_y, at_yaw), (sigma_x, sigma_y, sigma_yaw) in zip(
+            centres, spreads, strict=True
+        )
+    ]
+    loss = min(
+        weights[0] * (dx * dx + dy * dy) + weights[2] * dyaw * dyaw + one.loss
+        for (dx, dy, dyaw), one in zip(distances, hypotheses, strict=True)
+    )
     return Match(
-        pose=pose,
-        score=objective + float(loss(pose[None])[0]),
-        moved=float(np.abs(away / sigmas[0]).max()),
+        pose=np.array((x, y, yaw)), score=objective + loss, moved=max(map(abs, distances[0]))
     )
 
 

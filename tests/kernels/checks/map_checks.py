@@ -51,7 +51,8 @@ def _tiled_field(sample: Sample) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.
     return pool.astype(np.uint8), pages
 
 
-def _climb(device: ComputeDevice, sample: Sample) -> Arrays:
+def _search(device: ComputeDevice, sample: Sample) -> Arrays:
+    """Climb from none, one and the best of looked-at poses, and from two hypotheses."""
     pool, pages = _tiled_field(sample)
     field, table = device.upload(pool), device.upload(pages)
     size = np.array([*pages.shape[::-1], 0.1]) * TILE
@@ -60,18 +61,20 @@ def _climb(device: ComputeDevice, sample: Sample) -> Arrays:
     centres = rng.random((2, 3)) * size + [sample.away, 0.0, 0.0]
     losses = np.column_stack((centres, [[0.01, 0.02, 0.1, 0.0], [0.02, 0.01, 0.2, 0.05]]))
     results = []
-    for groups, rounds, every in ((1, 1, 1), (7, 3, 2)):
-        starts = centres[0] + rng.normal(0.0, 1.0, (groups, 3))
-        steps = rng.normal(0.0, 1.0, (rounds, groups, CLIMBERS, 3))
-        turned = [np.stack((np.cos(a), np.sin(a)), axis=-1) for a in (starts[:, 2], steps[..., 2])]
+    for climbs, rounds, every in ((0, 1, 1), (1, 1, 1), (5, 3, 2)):
+        looked = centres[0] + rng.normal(0.0, 1.0, (40, 3))
+        looked[7] = looked[3]  # equals
+        poses = np.concatenate((centres, looked))
+        steps = rng.normal(0.0, 1.0, (rounds, climbs + 2, CLIMBERS, 3))
+        turned = [np.stack((np.cos(a), np.sin(a)), axis=-1) for a in (poses[:, 2], steps[..., 2])]
         tables = [
-            np.concatenate(pair, axis=-1) for pair in zip((starts, steps), turned, strict=True)
+            np.concatenate(pair, axis=-1) for pair in zip((poses, steps), turned, strict=True)
         ]
-        climbed = [table.astype(np.float32) for table in (losses, *tables)]
+        given = [table.astype(np.float32) for table in (losses, *tables)]
         hits = upload_hits(points[::every], device)
         window = device.field_window(field, table, centres[0, :2] - 130.0, centres[0, :2] + 130.0)
-        results.append(device.download(window.cells)[:-1])
-        results.append(device.climb(window, hits, *climbed, scale=1.0 / 9000.0))
+        results.append(device.download(window.cells))
+        results.append(device.search(window, hits, *given, reach=2))
     return results
 
 
@@ -134,12 +137,7 @@ def _score_poses(device: ComputeDevice, sample: Sample) -> Arrays:
     counts = sample.rng.integers(-5000, 5000, 256).astype(np.int32)
     return [
         device.score_poses(window, upload_hits(points[::every], device), poses[:count], **options)
-        for count, every, options in (
-            (37, 1, {}),
-            (37, 1, {"table": counts}),
-            (37, 3, {"reach": 2}),
-            (1, 100, {}),
-        )
+        for count, every, options in ((37, 1, {}), (37, 1, {"table": counts}), (1, 100, {}))
     ]
 
 
@@ -363,7 +361,7 @@ def _nearest_marks(device: ComputeDevice, sample: Sample) -> Arrays:
 MAP_CHECKS: dict[str, Check] = {
     "extend": _extend,
     "score_poses": _score_poses,
-    "field_window, climb": _climb,
+    "field_window, search": _search,
     "climb_maps": _climb_maps,
     "score_maps": _score_maps,
     "mark_scan, integrate_scan": _scan_map,
