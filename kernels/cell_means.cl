@@ -1,9 +1,9 @@
 /* Map updates of SLAMs whose cells keep a mean of what scans told them.
  *
  * A scan is one observation of a cell, however many of its beams cross it: first every beam marks its
- * cells, the strongest word about a cell wins (atomic maximum, so the order does not matter), then
- * whoever comes first integrates that word into the cell and clears it. So the result does not depend
- * on the device's schedule, and between two scans every word of the `observed` pool is 0.
+ * cells, the strongest word about a cell wins (atomic maximum, so the order does not matter), then the
+ * words of the pages that were met are integrated into their cells and cleared. So the result does not
+ * depend on the device's schedule, and between two scans every word of the `observed` pool is 0.
  *
  * tinySLAM [H16] (mark_scan, integrate_scan): Steux and El Hamzaoui, ICARCV 2010 (a beam leaves a
  * valley around its hit), with the cell models of Huletski, Kartashov and Krinkin, 2016.
@@ -43,13 +43,13 @@ INLINE long beam_step(__global const int *beam, const walk w) {
  * half_blur  half width of the valley, 1/1024 cell
  * behind     least value that is written behind the hit
  * free       value of a cell that the beam passed, 0 to VALUE_ONE
- * wanted     int for each page, set to 1 where it was missing
- * missed     uchar for each beam: whether it met such a page
+ * met        int for each page, set to 1 where the beam has cells
+ * missed     uchar for each beam: whether it met a page without a tile
  */
 __kernel void mark_scan(
     __global uint *observed, __global const int *pages, const int width, const int height,
     __global const int *beams, const int count, const int half_blur,
-    const int behind, const int free, __global int *wanted, __global uchar *missed) {
+    const int behind, const int free, __global int *met, __global uchar *missed) {
   const int item = get_global_id(0);
   if (item >= count) {
     return;
@@ -78,67 +78,75 @@ __kernel void mark_scan(
     }
     const int x = (int)((w.x + i * w.step_x) >> WALK_SHIFT);
     const int y = (int)((w.y + i * w.step_y) >> WALK_SHIFT);
-    any |= mark_cell(observed, pages, width, wanted, x, y, word);
+    any |= mark_cell(observed, pages, width, met, x, y, word);
   }
   missed[item] = (uchar)any;
+}
+
+/* Quotient of whole numbers, cut to one: of at most 2^MEAN_BITS by at most MOST_OBSERVATIONS + 1. With half
+ * more the quotient is far enough from whole numbers for float, which has a vector division. */
+INLINE int quotient(const int a, const int b) {
+  const int cut = (int)(((float)(a < 0 ? -a : a) + 0.5f) / (float)b);
+  return a < 0 ? -cut : cut;
 }
 
 /* Join an observation (0 to VALUE_ONE) to a cell's state. */
 INLINE uint joined(const uint state, const int value, const int quality, const int model) {
   const int mean = (int)(state >> MEAN_SHIFT), seen = (int)(state & MOST_OBSERVATIONS);
   const int told = value << VALUE_TO_MEAN_SHIFT;
-  int next;
-  if (model == MODEL_BASE) {
-    next = mean + (int)(((long)(told - mean) * quality) >> QUALITY_SHIFT);
-  } else {
-    const int pulled =
-        MEAN_HALF + (int)(((long)(told - MEAN_HALF) * quality) >> QUALITY_SHIFT);
-    next = mean + (pulled - mean) / (seen + 1);
-  }
-  const int more = seen < MOST_OBSERVATIONS ? seen + 1 : seen;
-  return (uint)next << MEAN_SHIFT | (uint)more;
+  const int moved = ((told - mean) * quality) >> QUALITY_SHIFT;
+  const int pulled = MEAN_HALF + (((told - MEAN_HALF) * quality) >> QUALITY_SHIFT);
+  const int next = mean + (model == MODEL_BASE ? moved : quotient(pulled - mean, seen + 1));
+  return (uint)next << MEAN_SHIFT | (uint)(seen < MOST_OBSERVATIONS ? seen + 1 : seen);
 }
 
-/* Integrate what the scan marked into the cells.
+/* Whether a row of a page has marks. */
+INLINE uint has_marks(__global const uint *words) {
+  uint any = 0;
+  IN_LANES
+  for (int k = 0; k < TILE; k++) {
+    any |= words[k];
+  }
+  return any;
+}
+
+/* Integrate what the scan marked into the cells; a work item does a page.
  *
  * valley     uint pool of states: what the matcher sees, with the blur
  * map        uint pool of states: what is published; cells behind a hit learn nothing here
  * field      uchar pool: the score field of scan_match.cl, 0 where the valley is no wall
+ * met        of mark_scan; 0 afterwards
+ * left, bottom, cols, rows  the pages that may have been met
  * map_free   value of a free cell in `map`, 0 to VALUE_ONE
  * quality    in 1/2^QUALITY_SHIFT: 0 teaches nothing, 1 everything
  * model      0 base, 1 mean
  * wall_floor mean up to which the score field is 0, 1/2^MEAN_BITS
  * wall_gain  what a mean above it adds to the field
+ * Global: (cols * rows).
  */
 __kernel void integrate_scan(
-    __global uint *observed, __global uint *valley, __global uint *map, __global uchar *field,
-    __global const int *pages, const int width, const int height, __global const int *beams,
-    const int count, const int half_blur, const int map_free, const int quality, const int model,
-    const int wall_floor, const int wall_gain) {
-  const int item = get_global_id(0);
-  if (item >= count) {
-    return;
-  }
-  __global const int *beam = beams + VALLEY_BEAM_INTS * item;
-  const walk w = beam_walk(beam);
-  const long step = beam_step(beam, w);
-  const long reach = step > 0 ? ((long)half_blur << WALK_TO_BEAM_SHIFT) / step : 0;
-  for (long i = -reach; i <= w.steps; i++) {
-    const int x = (int)((w.x + i * w.step_x) >> WALK_SHIFT);
-    const int y = (int)((w.y + i * w.step_y) >> WALK_SHIFT);
-    const int tile = pages[(y >> TILE_SHIFT) * width + (x >> TILE_SHIFT)];
-    const int at = tile * TILE_CELLS + ((y & TILE_MASK) << TILE_SHIFT) + (x & TILE_MASK);
-    const uint word = take_word(observed + at);
-    if (word == 0u) {
+    __global uint *restrict observed, __global uint *restrict valley, __global uint *restrict map,
+    __global uchar *restrict field, __global const int *pages, const int width,
+    __global int *met, const int left, const int bottom, const int cols, const int rows,
+    const int map_free, const int quality, const int model, const int wall_floor,
+    const int wall_gain) {
+  const int first = met_cells(pages, width, met, left, bottom, cols, rows);
+  for (int row = first; row >= 0 && row < first + TILE_CELLS; row += TILE) {
+    if (has_marks(observed + row) == 0u) {
       continue;
     }
-    const int value = (int)(word >> VALUE_SHIFT & VALUE_ONE);
-    const uint next = joined(valley[at], value, quality, model);
-    const int wall = ((int)(next >> MEAN_SHIFT) - wall_floor) * wall_gain >> MEAN_BITS;
-    valley[at] = next;
-    field[at] = (uchar)(wall < 0 ? 0 : wall > FIELD_ONE ? FIELD_ONE : wall);
-    if (word & 1u) {
-      map[at] = joined(map[at], word >> HIT_SHIFT ? value : map_free, quality, model);
+    IN_LANES
+    for (int at = row; at < row + TILE; at++) {
+      const uint word = observed[at], seen = valley[at], shown = map[at];
+      const int value = (int)(word >> VALUE_SHIFT & VALUE_ONE);
+      const uint next = joined(seen, value, quality, model);
+      const uint shown_next = joined(shown, word >> HIT_SHIFT ? value : map_free, quality, model);
+      const int wall = ((int)(next >> MEAN_SHIFT) - wall_floor) * wall_gain >> MEAN_BITS;
+      const int kept = wall < 0 ? 0 : wall > FIELD_ONE ? FIELD_ONE : wall;
+      observed[at] = 0u;
+      valley[at] = word ? next : seen;
+      field[at] = word ? (uchar)kept : field[at];
+      map[at] = word & 1u ? shown_next : shown;
     }
   }
 }
@@ -153,13 +161,13 @@ __kernel void integrate_scan(
  * table     uchar, TABLE_LAST + 1: value by the squared distance from a cell's centre to the hit, in
  *           (1/1024 cell)^2, shifted right by `shift`; the last for all beyond
  * reach     cells around the hit's own that learn of it
- * wanted    int for each page, set to 1 where it was missing
- * missed    uchar for each beam: whether it met such a page
+ * met       int for each page, set to 1 where the beam has cells
+ * missed    uchar for each beam: whether it met a page without a tile
  */
 __kernel void mark_likelihood(
     __global uint *observed, __global const int *pages, const int width, const int height,
     __global const int *beams, const int count, __global const uchar *table, const int shift,
-    const int reach, __global int *wanted, __global uchar *missed) {
+    const int reach, __global int *met, __global uchar *missed) {
   const int item = get_global_id(0);
   if (item >= count) {
     return;
@@ -170,7 +178,7 @@ __kernel void mark_likelihood(
   for (long i = 1; i <= w.steps; i++) {
     const int x = (int)((w.x + i * w.step_x) >> WALK_SHIFT);
     const int y = (int)((w.y + i * w.step_y) >> WALK_SHIFT);
-    any |= mark_cell(observed, pages, width, wanted, x, y, 1u);
+    any |= mark_cell(observed, pages, width, met, x, y, 1u);
   }
   const int col = beam[0] >> BEAM_SHIFT, row = beam[1] >> BEAM_SHIFT;
   for (int y = row - reach; y <= row + reach; y++) {
@@ -179,55 +187,38 @@ __kernel void mark_likelihood(
       const long dy = beam[1] - (y << BEAM_SHIFT) - BEAM_HALF;
       const long step = (dx * dx + dy * dy) >> shift;
       const uint value = table[step < TABLE_LAST ? step : TABLE_LAST];
-      any |= mark_cell(observed, pages, width, wanted, x, y, value << LIKELIHOOD_SHIFT | 1u);
+      any |= mark_cell(observed, pages, width, met, x, y, value << LIKELIHOOD_SHIFT | 1u);
     }
   }
   missed[item] = (uchar)any;
 }
 
-INLINE void update_cell(
-    __global uint *observed, __global uint *states, __global uchar *field,
-    __global const int *pages, const int width, const int x, const int y, const int most) {
-  const int tile = pages[(y >> TILE_SHIFT) * width + (x >> TILE_SHIFT)];
-  const int at = tile * TILE_CELLS + ((y & TILE_MASK) << TILE_SHIFT) + (x & TILE_MASK);
-  const uint word = take_word(observed + at);
-  if (word == 0u) {
-    return;
-  }
-  const uint state = states[at];
-  const int mean = (int)(state >> MEAN_SHIFT), seen = (int)(state & MOST_OBSERVATIONS);
-  const int more = seen < most ? seen + 1 : most;
-  const int told = (int)(word >> LIKELIHOOD_SHIFT) * LIKELIHOOD_ONE;
-  const int next = mean + (told - mean) / more;
-  states[at] = (uint)next << MEAN_SHIFT | (uint)more;
-  field[at] = (uchar)(next / LIKELIHOOD_ONE);
-}
-
-/* Update the likelihood field by what the scan marked.
+/* Update the likelihood field by what the scan marked; a work item does a page.
  *
  * states  uint pool: mean likelihood and observations
  * field   uchar pool: the score field of scan_match.cl, the mean itself
+ * met     of mark_likelihood; 0 afterwards
+ * left, bottom, cols, rows  the pages that may have been met
  * most    observations that a cell remembers, 1 to MOST_OBSERVATIONS: its mean forgets what is older
+ * Global: (cols * rows).
  */
 __kernel void update_likelihood(
     __global uint *observed, __global uint *states, __global uchar *field,
-    __global const int *pages, const int width, const int height, __global const int *beams,
-    const int count, const int reach, const int most) {
-  const int item = get_global_id(0);
-  if (item >= count) {
-    return;
-  }
-  __global const int *beam = beams + BEAM_INTS * item;
-  const walk w = walk_of(beam[0], beam[1], beam[2], beam[3]);
-  for (long i = 1; i <= w.steps; i++) {
-    const int x = (int)((w.x + i * w.step_x) >> WALK_SHIFT);
-    const int y = (int)((w.y + i * w.step_y) >> WALK_SHIFT);
-    update_cell(observed, states, field, pages, width, x, y, most);
-  }
-  const int col = beam[0] >> BEAM_SHIFT, row = beam[1] >> BEAM_SHIFT;
-  for (int y = row - reach; y <= row + reach; y++) {
-    for (int x = col - reach; x <= col + reach; x++) {
-      update_cell(observed, states, field, pages, width, x, y, most);
+    __global const int *pages, const int width, __global int *met, const int left,
+    const int bottom, const int cols, const int rows, const int most) {
+  const int first = met_cells(pages, width, met, left, bottom, cols, rows);
+  for (int at = first; at >= 0 && at < first + TILE_CELLS; at++) {
+    const uint word = observed[at];
+    if (word == 0u) {
+      continue;
     }
+    observed[at] = 0u;
+    const uint state = states[at];
+    const int mean = (int)(state >> MEAN_SHIFT), seen = (int)(state & MOST_OBSERVATIONS);
+    const int more = seen < most ? seen + 1 : most;
+    const int told = (int)(word >> LIKELIHOOD_SHIFT) * LIKELIHOOD_ONE;
+    const int next = mean + (told - mean) / more;
+    states[at] = (uint)next << MEAN_SHIFT | (uint)more;
+    field[at] = (uchar)(next / LIKELIHOOD_ONE);
   }
 }

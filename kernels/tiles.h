@@ -18,21 +18,12 @@ INLINE int tile_cell(__global const int *pages, const int width, const int heigh
   return tile * TILE_CELLS + ((y & TILE_MASK) << TILE_SHIFT) + (x & TILE_MASK);
 }
 
-/* Keep the greater word of a cell; take a cell's word and leave 0; and add to a word, and return what
- * it was. An atomic waits for its cell and lets nothing pass; on a device of one
- * thread `volatile` keeps order enough. */
+/* Keep the greater word of a cell; and add to a word, and return what it was. An atomic waits for its
+ * cell and lets nothing pass; on a device of one thread `volatile` keeps order enough. */
 #ifdef ONE_THREAD
 INLINE void keep_greater(volatile __global uint *word, const uint other) {
-  if (*word < other) {
-    *word = other;
-  }
-}
-INLINE uint take_word(volatile __global uint *word) {
-  const uint taken = *word;
-  if (taken != 0u) {
-    *word = 0u;
-  }
-  return taken;
+  const uint own = *word;
+  *word = own < other ? other : own;
 }
 INLINE uint add_to_word(volatile __global uint *word, const uint more) {
   const uint before = *word;
@@ -41,23 +32,36 @@ INLINE uint add_to_word(volatile __global uint *word, const uint more) {
 }
 #else
 INLINE void keep_greater(__global uint *word, const uint other) { atomic_max(word, other); }
-INLINE uint take_word(__global uint *word) { return atomic_xchg(word, 0u); }
 INLINE uint add_to_word(__global uint *word, const uint more) { return atomic_add(word, more); }
 #endif
 
-/* Mark a cell inside the window with a word. If its page has no tile, that is wanted and 1 returned. */
+/* Mark a cell inside the window with a word, and its page as met; return whether that has no tile. */
 INLINE int mark_cell(
-    __global uint *observed, __global const int *pages, const int width, __global int *wanted,
+    __global uint *observed, __global const int *pages, const int width, __global int *met,
     const int x, const int y, const uint word) {
   const int page = (y >> TILE_SHIFT) * width + (x >> TILE_SHIFT);
   const int tile = pages[page];
+  met[page] = 1;
   if (tile == 0) {
-    wanted[page] = 1;
     return 1;
   }
   keep_greater(
       observed + tile * TILE_CELLS + ((y & TILE_MASK) << TILE_SHIFT) + (x & TILE_MASK), word);
   return 0;
+}
+
+/* First cell in a pool of the page that a work item does, one of some of the window's; -1 where no cell
+ * of it was marked. The page is not met any more. */
+INLINE int met_cells(
+    __global const int *pages, const int width, __global int *met, const int left, const int bottom,
+    const int cols, const int rows) {
+  const int item = get_global_id(0);
+  const int page = (bottom + item / cols) * width + left + item % cols;
+  if (item >= cols * rows || met[page] == 0) {
+    return -1;
+  }
+  met[page] = 0;
+  return pages[page] * TILE_CELLS;
 }
 
 #endif

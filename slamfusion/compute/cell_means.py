@@ -18,6 +18,7 @@ import numpy as np
 from slamfusion.compute.arrays import ArrayDevice, DeviceArray, host
 from slamfusion.compute.layout import (
     BEAM_HALF,
+    BEAM_ONE,
     BEAM_SHIFT,
     FIELD_ONE,
     HIT_SHIFT,
@@ -89,6 +90,11 @@ class ScanRule(NamedTuple):
         word = (i == 0).astype(np.int64) << HIT_SHIFT | value << VALUE_SHIFT | (i >= 0)
         return beam[keep], row[keep], col[keep], word[keep]
 
+    @property
+    def margin(self) -> float:
+        """How far cells that beams observe may lie from them."""
+        return self.half_blur / BEAM_ONE + 1.0
+
     def learn(self, pools: Pools, at: Places, words: I64) -> None:
         """Fold words into the cells of tinySLAM's map."""
         valley, published, field = (host(pools[name]) for name in ("valley", "published", "field"))
@@ -142,6 +148,11 @@ class LikelihoodRule(NamedTuple):
         )
         return beam, row, col, value << LIKELIHOOD_SHIFT | 1
 
+    @property
+    def margin(self) -> float:
+        """How far cells that beams observe may lie from them."""
+        return self.reach + 1.0
+
     def learn(self, pools: Pools, at: Places, words: I64) -> None:
         """Fold words into the cells of a submap."""
         states, field = host(pools["states"]), host(pools["field"])
@@ -175,7 +186,7 @@ class CellMeanDevice(ArrayDevice):
         pages: DeviceArray[np.int32],
         beams: DeviceArray[np.int32],
         rule: ScanRule | LikelihoodRule,
-        wanted: DeviceArray[np.int32],
+        met: DeviceArray[np.int32],
     ) -> B8:
         """Write into ``observed``, in place, the words of a scan's beams.
 
@@ -183,8 +194,8 @@ class CellMeanDevice(ArrayDevice):
             pools: of the rule's kinds; ``observed`` is 0 before.
             pages: (PH, PW) int32.
             beams: as the rule says; they, and all that they come near to, are inside the window.
-            wanted: (PH, PW) int32, set to 1 in place where a page has no tile yet; those cells are
-                left out.
+            met: (PH, PW) int32, set to 1 in place where a page has cells of beams; cells of pages
+                that have no tile yet are left out.
 
         Returns:
             (B,) bool, which beams met such a page: provide tiles and mark these again.
@@ -200,12 +211,12 @@ class CellMeanDevice(ArrayDevice):
                 own = (self.opencl.table(rule.table), rule.shift, rule.reach)
             return self.opencl.launch_into(
                 np.empty(count, dtype=np.bool_), name, (count,), pools["observed"], pages, width,
-                height, beams, count, *own, wanted,
+                height, beams, count, *own, met,
             )  # fmt: skip
         beam, row, col, words = rule.words(host(beams))
         tiles = host(pages)[row // TILE, col // TILE]
         missing, put = tiles == 0, tiles != 0
-        host(wanted)[row[missing] // TILE, col[missing] // TILE] = 1
+        host(met)[row // TILE, col // TILE] = 1
         at = (tiles[put], row[put] % TILE, col[put] % TILE)
         np.maximum.at(host(pools["observed"]), at, words[put].astype(np.uint32))
         return np.bincount(beam[missing], minlength=beams.shape[0]) > 0
@@ -214,28 +225,29 @@ class CellMeanDevice(ArrayDevice):
         self,
         pools: Pools,
         pages: DeviceArray[np.int32],
-        beams: DeviceArray[np.int32],
+        met: DeviceArray[np.int32],
+        box: tuple[int, int, int, int],
         rule: ScanRule | LikelihoodRule,
     ) -> None:
-        """Fold a scan's marks into the cells, in place, once per cell; ``observed`` becomes 0."""
+        """Fold a scan's marks into the cells, in place, once per cell; they and ``met`` become 0.
+
+        ``box`` has all pages that were met: column and row of the first, columns and rows.
+        """
         if self.opencl:
-            height, width = pages.shape
-            count = beams.shape[0]
             own: tuple[int, ...]
             names: tuple[str, ...]
             if isinstance(rule, ScanRule):
                 name, names = "integrate_scan", ("observed", "valley", "published", "field")
-                own = (rule.half_blur, *rule[3:])
+                own = rule[3:]
             else:
                 name, names = "update_likelihood", ("observed", "states", "field")
-                own = (rule.reach, rule.most)
+                own = (rule.most,)
             written = [pools[pool] for pool in names]
-            self.opencl.launch(name, (count,), *written, pages, width, height, beams, count, *own)
+            size = (box[2] * box[3],)
+            self.opencl.launch(name, size, *written, pages, pages.shape[1], met, *box, *own)
             return
-        _, row, col, _ = rule.words(host(beams))
-        tiles, observed = host(pages)[row // TILE, col // TILE], host(pools["observed"])
-        places = np.unique(np.stack((tiles, row % TILE, col % TILE), axis=-1), axis=0)
-        words = observed[tuple(places.T)].astype(np.int64)
-        at, words = tuple(places[words > 0].T), words[words > 0]
-        observed[at] = 0
+        observed = host(pools["observed"])
+        at = np.nonzero(observed)
+        words = observed[at].astype(np.int64)
+        observed[at] = host(met)[:] = 0
         rule.learn(pools, at, words)

@@ -18,10 +18,10 @@ import numpy.typing as npt
 from slamfusion.compute import ComputeDevice
 from slamfusion.compute.arrays import DeviceArray
 from slamfusion.compute.cell_means import LikelihoodRule, ScanRule
-from slamfusion.compute.layout import TILE
+from slamfusion.compute.layout import BEAM_ONE, TILE
 from slamfusion.compute.tiles import tile_bytes
 from slamfusion.errors import MemoryBudgetError
-from slamfusion.geometry import B8, F64, I8, I32, I64, Pose2, corners
+from slamfusion.geometry import B8, F64, I8, I64, Pose2, corners
 from slamfusion.grid import OccupancyGrid
 from slamfusion.slam.common.state import check_arrays, check_indices
 
@@ -185,39 +185,57 @@ class TileMap(_Tiles):
     ) -> None:
         """Make pools with their empty tile, given the dtype and the fill value by name."""
         self._fills = {name: fill for name, (_, fill) in pools.items()}
-        self._wanted: Any = None
+        self._met: Any = None
         super().__init__(
             device,
             {name: np.full((TILE, TILE), fill, kind) for name, (kind, fill) in pools.items()},
         )
 
-    def write(self, beams: I32, rule: ScanRule | LikelihoodRule) -> None:
-        """Write a scan's beams (B, K), as the rule says, all in the window."""
-        device, handle = self._device, self._device.upload(beams)
-        missed = device.mark_scan(self.pools, self.page_tables, handle, rule, self._wanted)
+    def write(
+        self, hits: F64, laser: F64, rule: ScanRule | LikelihoodRule, *more: npt.ArrayLike
+    ) -> None:
+        """Write a scan's beams, as the rule says.
+
+        Args:
+            hits: (B, 2) in cells from the anchor, B at least 1; the laser (2,) likewise.
+            more: (B,) each or a number: what a beam of the rule has besides.
+        """
+        device, (low, high) = self._device, corners(hits)
+        low, high = np.minimum(low, laser) - rule.margin, np.maximum(high, laser) + rule.margin
+        self.cover(low, high)
+        beams = np.empty((len(hits), 4 + len(more)), dtype=np.int32)
+        beams[:, 0:2] = (hits - self.origin) * BEAM_ONE
+        beams[:, 2:4] = (laser - self.origin) * BEAM_ONE
+        for column, values in enumerate(more, start=4):
+            beams[:, column] = values
+        handle = device.upload(beams)
+        missed = device.mark_scan(self.pools, self.page_tables, handle, rule, self._met)
         if missed.any():
-            self._provide_wanted()
+            self._provide_met()
             again = device.upload(beams[missed])
-            device.mark_scan(self.pools, self.page_tables, again, rule, self._wanted)
-        device.integrate_scan(self.pools, self.page_tables, handle, rule)
+            device.mark_scan(self.pools, self.page_tables, again, rule, self._met)
+        left, bottom = (low // TILE - self.corner).astype(int).tolist()
+        right, top = (high // TILE - self.corner).astype(int).tolist()
+        box = left, bottom, right + 1 - left, top + 1 - bottom
+        device.integrate_scan(self.pools, self.page_tables, self._met, box, rule)
 
     def keep_only(self, name: str) -> None:
         """Free every pool but one; the map becomes read-only."""
         self.pools = {name: self.pools[name]}
-        self._wanted = None
+        self._met = None
 
-    def _provide_wanted(self) -> None:
-        """Give a tile to every page that needs one."""
-        missing = np.flatnonzero(self._device.download(self._wanted))
+    def _provide_met(self) -> None:
+        """Give a tile to every page that beams met."""
+        missing = np.flatnonzero(self._device.download(self._met) * (self.pages == 0))
         used, needed = self.tiles, self.tiles + len(missing)
         for name, fill in self._fills.items():  # no old pool outlives its turn
             self.pools[name] = self._device.extend(self.pools[name], needed, fill, FIRST_ROOM)
         self.pages.flat[missing] = np.arange(used, needed)
-        self._send()
+        super()._send()
 
     def _send(self) -> None:
         super()._send()
-        self._wanted = self._device.upload(np.zeros_like(self.pages))
+        self._met = self._device.upload(np.zeros_like(self.pages))
 
 
 class SharedTileMaps(_Tiles):

@@ -18,7 +18,7 @@ from slamfusion.compute.arrays import DeviceArray
 from slamfusion.compute.cell_means import LikelihoodRule
 from slamfusion.compute.layout import BEAM_ONE, TILE
 from slamfusion.compute.scan_match import FieldWindow
-from slamfusion.geometry import F64, U8, Pose2, corners, wrap_angles
+from slamfusion.geometry import F64, U8, Pose2, wrap_angles
 from slamfusion.slam.common.matcher import FieldMap
 from slamfusion.slam.common.state import Stateful
 from slamfusion.slam.common.tile_map import TileMap
@@ -166,16 +166,8 @@ class Submap(Stateful):
 
         The laser (2,) is in the robot's frame, the pose in the anchor's.
         """
-        tiles, rule, cell = self._tiles, self._rule, self._cell
-        hits = pose.transform(points) / cell
-        start = pose.transform(laser) / cell
-        reach = rule.reach + 1.0
-        low, high = corners(hits)
-        tiles.cover(np.minimum(low, start) - reach, np.maximum(high, start) + reach)
-        beams = np.empty((len(hits), 4), dtype=np.int32)
-        beams[:, 0:2] = (hits - tiles.origin) * BEAM_ONE
-        beams[:, 2:4] = (start - tiles.origin) * BEAM_ONE
-        tiles.write(beams, rule)
+        cell = self._cell
+        self._tiles.write(pose.transform(points) / cell, pose.transform(laser) / cell, self._rule)
 
     def finish(self) -> None:
         """Free what only a growing submap needs."""

@@ -16,14 +16,22 @@ import numpy.typing as npt
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.compute.cell_means import ScanRule
-from slamfusion.compute.layout import BEAM_ONE, MEAN_HALF, MOST_OBSERVATIONS, UNSEEN, VALUE_ONE
+from slamfusion.compute.layout import (
+    BEAM_ONE,
+    MEAN_BITS,
+    MEAN_HALF,
+    MOST_OBSERVATIONS,
+    QUALITY_SHIFT,
+    UNSEEN,
+    VALUE_ONE,
+)
 from slamfusion.config import CellModel, TinySlamConfig
 from slamfusion.errors import SlamFusionError
-from slamfusion.geometry import F64, I8, I32, U32, Pose2, corners, pose_of, row_of
+from slamfusion.geometry import F64, I8, U32, Pose2, pose_of, row_of
 from slamfusion.grid import UNKNOWN, OccupancyGrid
 from slamfusion.scan import LaserScan
 from slamfusion.slam.common.mapper import BLIND, Health, Series, Step
-from slamfusion.slam.common.matcher import FieldMap, Match, PoseHypothesis
+from slamfusion.slam.common.matcher import FieldMap, PoseHypothesis
 from slamfusion.slam.common.state import Rows
 from slamfusion.slam.common.tile_map import TileMap, known_part
 from slamfusion.slam.common.tracking import Tracker
@@ -128,6 +136,7 @@ class TinySlam:
                 "field": (np.uint8, UNSEEN_WALL),
             },
         )
+        self._rules = [_scan_rule(config, weight) for weight in (1.0, QUALITY_MOVED)]
         self._anchor = np.zeros(2)
         # Stamp and pose of each scan.
         self._path = Rows(4)
@@ -182,7 +191,8 @@ class TinySlam:
     def _use(self, scan: LaserScan, points: F64, hypotheses: list[PoseHypothesis]) -> Step:
         match = self._tracker.match(self._walls(), points, hypotheses) if self._mapped else None
         pose = pose_of(hypotheses[0].pose if match is None else match.pose)
-        self._integrate(scan, points, pose, self._quality(match))
+        is_far = match is not None and match.moved > FAR_MOVED
+        self._integrate(scan, points, pose, self._rules[is_far])
         self.health.scans_used += 1
         return Step(pose, used=True, match_score=None if match is None else match.score)
 
@@ -192,42 +202,13 @@ class TinySlam:
         corner = self._anchor / cell + tiles.origin
         return FieldMap(tiles.pools["field"], tiles.page_tables, corner, cell)
 
-    def _quality(self, match: Match | None) -> float:
-        quality = self._config.quality or DEFAULT_QUALITY[self._config.cell_model]
-        if match is not None and match.moved > FAR_MOVED:
-            quality *= QUALITY_MOVED
-        return quality
-
     # -- the map -------------------------------------------------------------------------------
 
-    def _integrate(self, scan: LaserScan, points: F64, pose: Pose2, quality: float) -> None:
-        config, tiles = self._config, self._map
+    def _integrate(self, scan: LaserScan, points: F64, pose: Pose2, rule: ScanRule) -> None:
         self._mapped += 1
-        cell = config.resolution
+        cell = self._config.resolution
         hits = (pose.transform(points) - self._anchor) / cell
         laser = (row_of(pose.compose(scan.mount))[:2] - self._anchor) / cell
-        reach = 0.5 * config.hole_width_m / cell + 1.0
-        low, high = corners(hits)
-        tiles.cover(np.minimum(low, laser) - reach, np.maximum(high, laser) + reach)
-        beams = self._beams(hits - tiles.origin, laser - tiles.origin)
-        # The expected value of a wall's cells.
-        share = HIT_SHARE[config.occupancy_estimator]
-        peak = FREE_VALUE + share * (OCCUPIED_VALUE - FREE_VALUE)
-        floor = MATCHER_FREE_VALUE + FLOOR_SHARE * (peak - MATCHER_FREE_VALUE)
-        rule = ScanRule(
-            half_blur=round(0.5 * config.hole_width_m / cell * BEAM_ONE),
-            behind=(VALUE_ONE + 1) // 2,
-            free=round(MATCHER_FREE_VALUE * VALUE_ONE),
-            map_free=round(FREE_VALUE * VALUE_ONE),
-            quality=round(quality * 1024),
-            is_mean=config.cell_model == "mean",
-            wall_floor=round(floor * (1 << 20)),
-            wall_gain=round(255.0 / (peak - floor)),
-        )
-        tiles.write(beams, rule)
-
-    def _beams(self, hits: F64, laser: F64) -> I32:
-        """Return the beams as the kernels take them; positions in cells of the window."""
         away = hits - laser
         told: F64 | float = OCCUPIED_VALUE
         if self._config.occupancy_estimator == "area":
@@ -236,12 +217,27 @@ class TinySlam:
             told = FREE_VALUE + (OCCUPIED_VALUE - FREE_VALUE) * area_behind(
                 offset[:, 0], offset[:, 1], angle
             )
-        beams = np.empty((len(hits), 6), dtype=np.int32)
-        beams[:, 0:2] = hits * BEAM_ONE
-        beams[:, 2:4] = laser * BEAM_ONE
-        beams[:, 4] = np.hypot(away[:, 0], away[:, 1]) * BEAM_ONE
-        beams[:, 5] = np.rint(told * VALUE_ONE)
-        return beams
+        length = np.hypot(away[:, 0], away[:, 1]) * BEAM_ONE
+        self._map.write(hits, laser, rule, length, np.rint(told * VALUE_ONE))
+
+
+def _scan_rule(config: TinySlamConfig, weight: float) -> ScanRule:
+    """Return how a scan of a weight, 0 to 1, writes into the map."""
+    quality = config.quality or DEFAULT_QUALITY[config.cell_model]
+    # The expected value of a wall's cells.
+    share = HIT_SHARE[config.occupancy_estimator]
+    peak = FREE_VALUE + share * (OCCUPIED_VALUE - FREE_VALUE)
+    floor = MATCHER_FREE_VALUE + FLOOR_SHARE * (peak - MATCHER_FREE_VALUE)
+    return ScanRule(
+        half_blur=round(0.5 * config.hole_width_m / config.resolution * BEAM_ONE),
+        behind=(VALUE_ONE + 1) // 2,
+        free=round(MATCHER_FREE_VALUE * VALUE_ONE),
+        map_free=round(FREE_VALUE * VALUE_ONE),
+        quality=round(weight * quality * (1 << QUALITY_SHIFT)),
+        is_mean=config.cell_model == "mean",
+        wall_floor=round(floor * (1 << MEAN_BITS)),
+        wall_gain=round(255.0 / (peak - floor)),
+    )
 
 
 def _percent(states: U32) -> I8:

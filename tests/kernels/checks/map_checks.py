@@ -163,17 +163,18 @@ def _write_scans(
         name: device.upload(np.full((tiles, TILE, TILE), fill, dtype=kind))
         for name, (kind, fill) in kinds.items()
     }
-    table, wanted = device.upload(pages), device.upload(np.zeros_like(pages))
+    table, met = device.upload(pages), device.upload(np.zeros_like(pages))
+    box = (0, 0, *pages.shape[::-1])
     results: Arrays = []
     for seed, rule in enumerate(rules):
         beams = _beams(replace(sample, seed=sample.seed + seed))
         if isinstance(rule, LikelihoodRule):
             beams = np.ascontiguousarray(beams[:, :4])
         handle = device.upload(beams)
-        results.append(device.mark_scan(pools, table, handle, rule, wanted))
-        results.append(device.download(pools["observed"]).copy())
-        device.integrate_scan(pools, table, handle, rule)
-    return [*results, *fetch(device, [wanted, *pools.values()])]
+        results.append(device.mark_scan(pools, table, handle, rule, met))
+        results += [array.copy() for array in fetch(device, [met, pools["observed"]])]
+        device.integrate_scan(pools, table, met, box, rule)
+    return [*results, *fetch(device, [met, *pools.values()])]
 
 
 def _scan_map(device: ComputeDevice, sample: Sample) -> Arrays:

@@ -39,11 +39,8 @@ def device(request: pytest.FixtureRequest) -> ComputeDevice:
 def write(tiles: TileMap, hit: tuple[float, float], rule: ScanRule = RULE) -> None:
     """Write one beam from the anchor's cell to a hit, in cells from the anchor."""
     ends = np.array([[hit[0] + 0.5, hit[1] + 0.5], [0.5, 0.5]])
-    tiles.cover(ends.min(axis=0), ends.max(axis=0))
-    (hit_x, hit_y), (laser_x, laser_y) = ((ends - tiles.origin) * BEAM_ONE).astype(int)
-    length = np.hypot(hit_x - laser_x, hit_y - laser_y)
-    beams = np.array([[hit_x, hit_y, laser_x, laser_y, length, 3890]], dtype=np.int32)
-    tiles.write(beams, rule)
+    length = np.hypot(*(ends[0] - ends[1])) * BEAM_ONE
+    tiles.write(ends[:1], ends[1], rule, length, 3890)
 
 
 def seen(tiles: TileMap) -> set[tuple[int, int]]:
@@ -113,10 +110,9 @@ def test_a_likelihood_spreads_around_a_hit_and_is_nothing_where_a_beam_passed(
     """From the laser in column 26 to a hit in the middle of column 34 of row 9, over two pages."""
     kinds = {"observed": (np.uint32, 0), "states": (np.uint32, 0), "field": (np.uint8, 20)}
     tiles, ends = TileMap(device, kinds), np.array([(34.5, 9.5), (26.5, 9.5)])
-    tiles.cover(ends.min(axis=0) - 2.0, ends.max(axis=0) + 2.0)
     # A square cell is 64 steps of the table.
     rule = LikelihoodRule(np.arange(255, -1, -1).astype(np.uint8), shift=14, reach=1, most=64)
-    tiles.write(((ends - tiles.origin) * BEAM_ONE).astype(np.int32).reshape(1, 4), rule)
+    tiles.write(ends[:1], ends[1], rule)
     values = np.full((TILE, 2 * TILE), -1)
     values[9, 26:33] = 0  # passed, the laser's cell too
     values[8:11, 33:36] = 255 - 2 * 64
