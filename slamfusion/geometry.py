@@ -181,13 +181,10 @@ class Pose2:
         """Map points (..., 2) of this frame into the parent frame, in the pose's unit."""
         xy = np.asarray(points, dtype=np.float64)
         cos, sin = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
-        return np.stack(
-            (
-                self.x + cos * xy[..., 0] - sin * xy[..., 1],
-                self.y + sin * xy[..., 0] + cos * xy[..., 1],
-            ),
-            axis=-1,
-        )
+        moved = np.empty((*xy.shape[:-1], 2))
+        moved[..., 0] = self.x + cos * xy[..., 0] - sin * xy[..., 1]
+        moved[..., 1] = self.y + sin * xy[..., 0] + cos * xy[..., 1]
+        return moved
 
     def scaled(self, factor: float) -> Pose2:
         """Return the same motion with lengths in another unit (metres to cells: 1 / resolution)."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +18,13 @@ from slamfusion.config import YAW_MOST_RAD, LaserMounting
 from slamfusion.errors import ScanError
 from slamfusion.geometry import B8, F32, F64, Pose2, transform_points
 from slamfusion.grid import IDENTITY
+
+
+@lru_cache(maxsize=8)
+def _directions(beams: int, first_rad: float, step_rad: float, yaw_rad: float) -> F64:
+    """Return the unit vectors of a laser's beams in the base frame, (N, 2)."""
+    angles = first_rad + step_rad * np.arange(beams, dtype=np.float64) + yaw_rad
+    return np.stack((np.cos(angles), np.sin(angles)), axis=-1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,10 +122,8 @@ class LaserScan:
             ranges_m: (N,) metres; default: the readings.
         """
         chosen = self.is_hit() if beams is None else beams
-        angles = self.angles()[chosen] + self.mount.yaw_rad
-        ranges = (self.ranges if ranges_m is None else ranges_m)[chosen].astype(np.float64)
-        ends = np.stack(
-            (self.mount.x + ranges * np.cos(angles), self.mount.y + ranges * np.sin(angles)),
-            axis=-1,
-        )
+        mount, ranges = self.mount, self.ranges if ranges_m is None else ranges_m
+        laser = len(self), self.angle_min_rad, self.angle_increment_rad, mount.yaw_rad
+        ends = _directions(*laser)[chosen] * ranges[chosen, None].astype(np.float64)
+        ends += mount.x, mount.y
         return ends if self.motion is None else transform_points(self.motion[chosen], ends)

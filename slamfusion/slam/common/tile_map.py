@@ -9,6 +9,7 @@ table and no cell.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -57,6 +58,7 @@ class _Tiles:
         pools: by name, (T, ...) handles: the tiles in use, first the empty one.
         pages: (..., PH, PW) int32, tile of each page of the window, 0 where there is none.
         corner: (2,) int64, column and row of the window's lower-left page, counted from the anchor.
+        origin: (2,) float64, lower-left corner of the window from the anchor, x and y in cells.
         page_tables: ``pages`` on the device.
     """
 
@@ -81,28 +83,23 @@ class _Tiles:
         return pools + 2 * self.pages.nbytes
 
     @property
-    def origin(self) -> F64:
-        """Lower-left corner of the window from the anchor, (2,) x and y in cells."""
-        return np.asarray(self.corner * TILE, dtype=np.float64)
-
-    @property
     def tiles(self) -> int:
         """Number of tiles in use, the empty one included."""
         return next(iter(self.pools.values())).shape[0]
 
-    def cover(self, low: F64, high: F64) -> None:
+    def cover(self, low: Sequence[float] | F64, high: Sequence[float] | F64) -> None:
         """Extend the window to a box of cells from the anchor, with a margin of empty pages.
 
         Raises:
             MemoryBudgetError: the window would be larger than any building.
         """
         old_height, old_width = self.pages.shape[-2:]
-        old_end = self.corner + np.array([old_width, old_height])
-        inner, inner_end = (self.corner + MARGIN) * TILE, (old_end - MARGIN) * TILE
-        if (low >= inner).all() and (high < inner_end).all():
+        (left, bottom), (right, top) = self.page_of(low), self.page_of(high)
+        if min(left, bottom) >= MARGIN and right < old_width - MARGIN and top < old_height - MARGIN:
             return
-        first = np.floor(low / TILE).astype(np.int64) - MARGIN
-        last = np.floor(high / TILE).astype(np.int64) + MARGIN + 1
+        old_end = self.corner + np.array([old_width, old_height])
+        first = self.corner + np.array([left, bottom]) - MARGIN
+        last = self.corner + np.array([right, top]) + MARGIN + 1
         start, end = np.minimum(first, self.corner), np.maximum(last, old_end)
         grown = (end - start) // 4
         start = np.where(start < self.corner, start - grown, start)
@@ -118,6 +115,11 @@ class _Tiles:
         pages[..., row : row + old_height, col : col + old_width] = self.pages
         self.pages, self.corner = pages, start
         self._send()
+
+    def page_of(self, place: Sequence[float] | F64) -> tuple[int, int]:
+        """Return column and row in the window of the page at a place, (2,) cells from the anchor."""
+        (x, y), (left, bottom) = place, self.corner.tolist()
+        return math.floor(x / TILE) - left, math.floor(y / TILE) - bottom
 
     def cells(self, name: str, *index: int) -> tuple[Array, I64]:
         """Return one map (H, W), cut to the pages in use, and its first (column, row), (2,)."""
@@ -175,6 +177,7 @@ class _Tiles:
 
     def _send(self) -> None:
         self.page_tables = self._device.upload(self.pages)
+        self.origin: F64 = np.asarray(self.corner * TILE, dtype=np.float64)
 
 
 class TileMap(_Tiles):
@@ -192,7 +195,11 @@ class TileMap(_Tiles):
         )
 
     def write(
-        self, hits: F64, laser: F64, rule: ScanRule | LikelihoodRule, *more: npt.ArrayLike
+        self,
+        hits: F64,
+        laser: Sequence[float],
+        rule: ScanRule | LikelihoodRule,
+        *more: npt.ArrayLike,
     ) -> None:
         """Write a scan's beams, as the rule says.
 
@@ -200,12 +207,13 @@ class TileMap(_Tiles):
             hits: (B, 2) in cells from the anchor, B at least 1; the laser (2,) likewise.
             more: (B,) each or a number: what a beam of the rule has besides.
         """
-        device, (low, high) = self._device, corners(hits)
-        low, high = np.minimum(low, laser) - rule.margin, np.maximum(high, laser) + rule.margin
+        device, margin, (least, most) = self._device, rule.margin, corners(hits)
+        low = [min(pair) - margin for pair in zip(least.tolist(), laser, strict=True)]
+        high = [max(pair) + margin for pair in zip(most.tolist(), laser, strict=True)]
         self.cover(low, high)
         beams = np.empty((len(hits), 4 + len(more)), dtype=np.int32)
         beams[:, 0:2] = (hits - self.origin) * BEAM_ONE
-        beams[:, 2:4] = (laser - self.origin) * BEAM_ONE
+        beams[:, 2:4] = np.subtract(laser, self.origin) * BEAM_ONE
         for column, values in enumerate(more, start=4):
             beams[:, column] = values
         handle = device.upload(beams)
@@ -214,8 +222,7 @@ class TileMap(_Tiles):
             self._provide_met()
             again = device.upload(beams[missed])
             device.mark_scan(self.pools, self.page_tables, again, rule, self._met)
-        left, bottom = (low // TILE - self.corner).astype(int).tolist()
-        right, top = (high // TILE - self.corner).astype(int).tolist()
+        (left, bottom), (right, top) = self.page_of(low), self.page_of(high)
         box = left, bottom, right + 1 - left, top + 1 - bottom
         device.integrate_scan(self.pools, self.page_tables, self._met, box, rule)
 

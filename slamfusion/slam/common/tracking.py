@@ -188,7 +188,8 @@ class Tracker(Stateful):
         """Return the factor on the cost of leaving the odometry, 1 on a map of many scans."""
         if not self.doubts_young_map:
             return 1.0
-        spreads = math.hypot(step.x, step.y) / float(self._spread(step, 1.0)[0])
+        gone = math.hypot(step.x, step.y)
+        spreads = gone / (SIGMA_M + SIGMA_M_PER_M * gone)
         standing = PRIOR_WEIGHT_XY * spreads**2
         if standing * YOUNG_SCANS < STANDING_LOSS:
             return 1.0
@@ -199,9 +200,9 @@ class Tracker(Stateful):
         return PoseHypothesis(row_of(start.compose(step)), self._spread(step, wider), loss)
 
     def _spread(self, step: Pose2, wider: float) -> F64:
-        return wider * spread_of(
-            SIGMA_M + SIGMA_M_PER_M * math.hypot(step.x, step.y),
-            SIGMA_RAD + SIGMA_RAD_PER_RAD * abs(step.yaw_rad),
+        return spread_of(
+            wider * (SIGMA_M + SIGMA_M_PER_M * math.hypot(step.x, step.y)),
+            wider * (SIGMA_RAD + SIGMA_RAD_PER_RAD * abs(step.yaw_rad)),
         )
 
     def _remember(self, score: float) -> None:

@@ -167,7 +167,8 @@ class Submap(Stateful):
         The laser (2,) is in the robot's frame, the pose in the anchor's.
         """
         cell = self._cell
-        self._tiles.write(pose.transform(points) / cell, pose.transform(laser) / cell, self._rule)
+        start = (pose.transform(laser) / cell).tolist()
+        self._tiles.write(pose.transform(points) / cell, start, self._rule)
 
     def finish(self) -> None:
         """Free what only a growing submap needs."""

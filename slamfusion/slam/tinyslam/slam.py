@@ -27,7 +27,7 @@ from slamfusion.compute.layout import (
 )
 from slamfusion.config import CellModel, TinySlamConfig
 from slamfusion.errors import SlamFusionError
-from slamfusion.geometry import F64, I8, U32, Pose2, pose_of, row_of
+from slamfusion.geometry import F64, I8, U32, Pose2, pose_of
 from slamfusion.grid import UNKNOWN, OccupancyGrid
 from slamfusion.scan import LaserScan
 from slamfusion.slam.common.mapper import BLIND, Health, Series, Step
@@ -137,6 +137,7 @@ class TinySlam:
             },
         )
         self._rules = [_scan_rule(config, weight) for weight in (1.0, QUALITY_MOVED)]
+        # Corner of a cell, (2,) metres, to which the map's cells are aligned.
         self._anchor = np.zeros(2)
         # Stamp and pose of each scan.
         self._path = Rows(4)
@@ -158,8 +159,8 @@ class TinySlam:
         else:
             step = self._use(scan, points, hypotheses)
         self._tracker.advance(step.pose_map_base, odometry, scan.stamp_s)
-        x, y, yaw = row_of(step.pose_map_base)
-        self._path.append(scan.stamp_s, x, y, yaw)
+        pose = step.pose_map_base
+        self._path.append(scan.stamp_s, pose.x, pose.y, pose.yaw_rad)
         return step
 
     def trajectory(self) -> Trajectory:
@@ -208,7 +209,8 @@ class TinySlam:
         self._mapped += 1
         cell = self._config.resolution
         hits = (pose.transform(points) - self._anchor) / cell
-        laser = (row_of(pose.compose(scan.mount))[:2] - self._anchor) / cell
+        at = pose.compose(scan.mount)
+        laser = (at.x - self._anchor[0]) / cell, (at.y - self._anchor[1]) / cell
         away = hits - laser
         told: F64 | float = OCCUPIED_VALUE
         if self._config.occupancy_estimator == "area":
