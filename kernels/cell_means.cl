@@ -22,6 +22,21 @@
 /* The cell models of `joined`; any other number is the mean. */
 #define MODEL_BASE 0
 
+/* The pages that a scan may have met, and the dense copy that follows the field; see integrate_scan. */
+#define MET                                                                                        \
+  __global const int *pages, const int width, __global int *met, const int left,                  \
+      const int bottom, const int cols, const int rows, __global uchar *restrict cells,            \
+      const int seen_left, const int seen_bottom, const int seen_cols, const int seen_rows
+/* Of a work item: its page's column and row, its tile (0: not met), and whether the copy has it. */
+#define MET_PAGE                                                                                   \
+  const int item = get_global_id(0), x = left + item % cols, y = bottom + item / cols;             \
+  const int tile = item < cols * rows ? met_tile(pages, met, y * width + x) : 0;                   \
+  const int seen_x = x - seen_left, seen_y = y - seen_bottom;                                      \
+  const int is_seen = seen_x >= 0 && seen_y >= 0 && seen_x < seen_cols && seen_y < seen_rows;      \
+  if (tile == 0) {                                                                                 \
+    return;                                                                                        \
+  }
+
 /* -- tinySLAM ----------------------------------------------------------------------------------- */
 
 /* A beam: x, y of its hit and of the laser in 1/1024 cell, length likewise, value of a hit. */
@@ -117,6 +132,7 @@ INLINE uint has_marks(__global const uint *words) {
  * field      uchar pool: the score field of scan_match.cl, 0 where the valley is no wall
  * met        of mark_scan; 0 afterwards
  * left, bottom, cols, rows  the pages that may have been met
+ * cells      uchar: a dense copy of the field's pages seen_left, seen_bottom, seen_cols, seen_rows
  * map_free   value of a free cell in `map`, 0 to VALUE_ONE
  * quality    in 1/2^QUALITY_SHIFT: 0 teaches nothing, 1 everything
  * model      0 base, 1 mean
@@ -126,12 +142,11 @@ INLINE uint has_marks(__global const uint *words) {
  */
 __kernel void integrate_scan(
     __global uint *restrict observed, __global uint *restrict valley, __global uint *restrict map,
-    __global uchar *restrict field, __global const int *pages, const int width,
-    __global int *met, const int left, const int bottom, const int cols, const int rows,
-    const int map_free, const int quality, const int model, const int wall_floor,
-    const int wall_gain) {
-  const int first = met_cells(pages, width, met, left, bottom, cols, rows);
-  for (int row = first; row >= 0 && row < first + TILE_CELLS; row += TILE) {
+    __global uchar *restrict field, MET, const int map_free, const int quality,
+    const int model, const int wall_floor, const int wall_gain) {
+  MET_PAGE
+  const int first = tile * TILE_CELLS;
+  for (int row = first; row < first + TILE_CELLS; row += TILE) {
     if (has_marks(observed + row) == 0u) {
       continue;
     }
@@ -148,6 +163,9 @@ __kernel void integrate_scan(
       field[at] = word ? (uchar)kept : field[at];
       map[at] = word & 1u ? shown_next : shown;
     }
+  }
+  if (is_seen) {
+    copy_page(field, tile, cells, seen_x, seen_y, seen_cols);
   }
 }
 
@@ -199,15 +217,15 @@ __kernel void mark_likelihood(
  * field   uchar pool: the score field of scan_match.cl, the mean itself
  * met     of mark_likelihood; 0 afterwards
  * left, bottom, cols, rows  the pages that may have been met
+ * cells   uchar: a dense copy of the field's pages seen_left, seen_bottom, seen_cols, seen_rows
  * most    observations that a cell remembers, 1 to MOST_OBSERVATIONS: its mean forgets what is older
  * Global: (cols * rows).
  */
 __kernel void update_likelihood(
-    __global uint *observed, __global uint *states, __global uchar *field,
-    __global const int *pages, const int width, __global int *met, const int left,
-    const int bottom, const int cols, const int rows, const int most) {
-  const int first = met_cells(pages, width, met, left, bottom, cols, rows);
-  for (int at = first; at >= 0 && at < first + TILE_CELLS; at++) {
+    __global uint *observed, __global uint *states, __global uchar *field, MET, const int most) {
+  MET_PAGE
+  const int first = tile * TILE_CELLS;
+  for (int at = first; at < first + TILE_CELLS; at++) {
     const uint word = observed[at];
     if (word == 0u) {
       continue;
@@ -220,5 +238,8 @@ __kernel void update_likelihood(
     const int next = mean + (told - mean) / more;
     states[at] = (uint)next << MEAN_SHIFT | (uint)more;
     field[at] = (uchar)(next / LIKELIHOOD_ONE);
+  }
+  if (is_seen) {
+    copy_page(field, tile, cells, seen_x, seen_y, seen_cols);
   }
 }

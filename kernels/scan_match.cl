@@ -70,36 +70,6 @@ INLINE int smooth_sum(
 
 /* -- a window of one map's field, dense: a quarter of the gathers ------------------------------- */
 
-/* Copy a rectangle of pages of a tiled map's field; a work item does a page.
- *
- * field    uchar, `across` cells per row of a tile, `step` bytes per cell, the first of them the value
- * pages    int, pages_wide per row
- * first    column and row of the window's first page
- * cells    uchar, TILE times width x height
- * Global: (width * height).
- */
-__kernel void copy_window(
-    __global const uchar *field, const int across, const int step, __global const int *pages,
-    const int pages_wide, const int first_x, const int first_y, const int width,
-    const int height, __global uchar *restrict cells) {
-  const int item = get_global_id(0), x = item % width, y = item / width;
-  if (y >= height) {
-    return;
-  }
-  const int tile = pages[(first_y + y) * pages_wide + first_x + x];
-  __global const uchar *from = field + (size_t)tile * TILE * across * step;
-  __global uchar *restrict to = cells + ((size_t)y * TILE * width + x) * TILE;
-  for (int row = 0; row < TILE; row++, from += across * step, to += width * TILE) {
-    if (step == 1) {
-      STORE32(LOAD32(from), to);
-    } else {
-      for (int k = 0; k < TILE; k++) {
-        to[k] = from[k * step];
-      }
-    }
-  }
-}
-
 /* Field of a window under a hit; a hit beyond it reads its border. */
 INLINE int window_value(
     __global const uchar *cells, const int4 window, const float px, const float py,

@@ -50,18 +50,22 @@ INLINE int mark_cell(
   return 0;
 }
 
-/* First cell in a pool of the page that a work item does, one of some of the window's; -1 where no cell
- * of it was marked. The page is not met any more. */
-INLINE int met_cells(
-    __global const int *pages, const int width, __global int *met, const int left, const int bottom,
-    const int cols, const int rows) {
-  const int item = get_global_id(0);
-  const int page = (bottom + item / cols) * width + left + item % cols;
-  if (item >= cols * rows || met[page] == 0) {
-    return -1;
+/* Copy a tile of a field to column x and row y of a dense window, `width` pages wide. */
+INLINE void copy_page(
+    __global const uchar *field, const int tile, __global uchar *restrict cells, const int x,
+    const int y, const int width) {
+  __global const uchar *from = field + (size_t)tile * TILE_CELLS;
+  __global uchar *restrict to = cells + ((size_t)y * TILE * width + x) * TILE;
+  for (int row = 0; row < TILE; row++) {
+    STORE32(LOAD32(from + row * TILE), to + row * width * TILE);
   }
+}
+
+/* Tile of a page that was met, and is not met any more; 0 of one that was not. */
+INLINE int met_tile(__global const int *pages, __global int *met, const int page) {
+  const int tile = met[page] ? pages[page] : 0;
   met[page] = 0;
-  return pages[page] * TILE_CELLS;
+  return tile;
 }
 
 #endif

@@ -37,7 +37,7 @@ from slamfusion.compute.layout import (
     WALK_SHIFT,
     WALK_TO_BEAM_SHIFT,
 )
-from slamfusion.compute.tiles import walk_cells
+from slamfusion.compute.tiles import FieldWindow, dense_pages, walk_cells
 from slamfusion.geometry import B8, I32, I64, U8
 
 Pools = Mapping[str, DeviceArray[Any]]
@@ -228,10 +228,13 @@ class CellMeanDevice(ArrayDevice):
         met: DeviceArray[np.int32],
         box: tuple[int, int, int, int],
         rule: ScanRule | LikelihoodRule,
+        window: FieldWindow | None = None,
     ) -> None:
         """Fold a scan's marks into the cells, in place, once per cell; they and ``met`` become 0.
 
-        ``box`` has all pages that were met: column and row of the first, columns and rows.
+        Args:
+            box: of all pages that were met: column and row of the first, columns and rows.
+            window: a dense copy of a part of the field, which follows it, in place.
         """
         if self.opencl:
             own: tuple[int, ...]
@@ -243,11 +246,17 @@ class CellMeanDevice(ArrayDevice):
                 name, names = "update_likelihood", ("observed", "states", "field")
                 own = (rule.most,)
             written = [pools[pool] for pool in names]
-            size = (box[2] * box[3],)
-            self.opencl.launch(name, size, *written, pages, pages.shape[1], met, *box, *own)
+            copied = (written[-1], 0, 0, 0, 0) if window is None else (window.cells, *window.box)
+            self.opencl.launch(
+                name, (box[2] * box[3],), *written, pages, pages.shape[1], met, *box, *copied, *own
+            )
             return
         observed = host(pools["observed"])
         at = np.nonzero(observed)
         words = observed[at].astype(np.int64)
         observed[at] = host(met)[:] = 0
         rule.learn(pools, at, words)
+        if window is not None:
+            left, bottom, cols, rows = window.box
+            seen = host(pages)[bottom : bottom + rows, left : left + cols]
+            host(window.cells)[:] = dense_pages(host(pools["field"]), seen)

@@ -5,9 +5,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -22,27 +20,13 @@ from slamfusion.compute.layout import (
     TABLE_LAST,
     TILE,
 )
-from slamfusion.compute.tiles import move_points, tile_places
+from slamfusion.compute.tiles import FieldWindow, move_points, tile_places
 from slamfusion.geometry import F32, F64, I32, I64, U16
 
 # A table of smooth values that changes none.
 SAME: I32 = np.arange(TABLE_LAST + 1, dtype=np.int32)
 # What moves points in a pose x, y, yaw, cos, sin.
 _MOVED = [0, 1, 3, 4]
-
-
-class FieldWindow(NamedTuple):
-    """A rectangle of one tiled map's field, dense.
-
-    Hits beyond it read its border: it reaches as far as they do, or to the map's empty border.
-
-    Attributes:
-        cells: (H, W) uint8 on the device; the last row is not looked at.
-        first: x and y of its first cell, in cells of the map's pages.
-    """
-
-    cells: DeviceArray[np.uint8]
-    first: tuple[int, int]
 
 
 def _arguments(window: FieldWindow) -> tuple[Any, ...]:
@@ -114,12 +98,6 @@ def _ways() -> I64:
     return np.array([(0, 0, 0), *axes, *diagonals, (0, 0, 0)], dtype=np.int64)
 
 
-def _span(low: float, high: float, pages: int) -> tuple[int, int]:
-    """Return the first page and the end of a window along one side of a map."""
-    first = min(max(math.floor(low / TILE), 0), pages - 1)
-    return first, min(max(math.ceil(high / TILE), first + 1), pages)
-
-
 def upload_hits(points: F32 | F64, device: ArrayDevice) -> DeviceArray[np.float32]:
     """Bring a scan's hits (P, 2), cells, in the robot's frame, to a device; see ``HIT_LANES``."""
     padded = np.zeros((-(-len(points) // HIT_LANES) * HIT_LANES, 2), dtype=np.float32)
@@ -135,30 +113,6 @@ class ScanMatchDevice(ArrayDevice):
     (N, PH, PW), int32, whose border is empty; and the ``points`` of a scan, see ``upload_hits``.
     All else comes from the host.
     """
-
-    def field_window(
-        self,
-        field: DeviceArray[Any],
-        pages: DeviceArray[np.int32],
-        low: Sequence[float] | F64 | I64,
-        high: Sequence[float] | F64 | I64,
-    ) -> FieldWindow:
-        """Return the pages of a map between two corners, x and y each in cells of its pages.
-
-        Its field is of either kind.
-        """
-        width = pages.shape[1]
-        left, right = _span(low[0], high[0], width)
-        bottom, top = _span(low[1], high[1], pages.shape[0])
-        first, cols, rows = (left * TILE, bottom * TILE), right - left, top - bottom
-        if self.opencl:
-            cells = self.opencl.launch_new(
-                (rows * TILE, cols * TILE), np.uint8, "copy_window", (rows * cols,), field,
-                field.shape[2], field.dtype.itemsize, pages, width, left, bottom, cols, rows,
-            )  # fmt: skip
-            return FieldWindow(cells, first)
-        tiles = host(field)[host(pages)[bottom:top, left:right]][..., :TILE].astype(np.uint8)
-        return FieldWindow(tiles.transpose(0, 2, 1, 3).reshape(rows * TILE, cols * TILE), first)
 
     def score_poses(
         self, window: FieldWindow, points: DeviceArray[np.float32], poses: F32, *, table: I32 = SAME

@@ -10,7 +10,8 @@ of the window, (0, 0) its lower-left corner.
 from __future__ import annotations
 
 import math
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -24,7 +25,7 @@ from slamfusion.compute.layout import (
     WALK_SHIFT,
     WALK_TO_BEAM_SHIFT,
 )
-from slamfusion.geometry import F32, I32, I64, Scalar
+from slamfusion.geometry import F32, F64, I32, I64, U8, Scalar
 
 
 def walk_cells(beams: I32 | I64, behind: I64 | int = 0) -> tuple[I64, I64, I64, I64]:
@@ -64,6 +65,49 @@ def tile_places(pages: I32, maps: I64 | int, row: I64, col: I64) -> tuple[I64, I
     row, col = np.where(inside, row, 0), np.where(inside, col, 0)
     tiles = np.where(inside, pages[maps, row // TILE, col // TILE], 0)
     return tiles.astype(np.int64), row % TILE, col % TILE
+
+
+class FieldWindow(NamedTuple):
+    """A rectangle of one tiled map's field, dense.
+
+    Hits beyond it read its border: it reaches as far as they do, or to the map's empty border.
+
+    Attributes:
+        cells: (H, W) uint8 on the device, whole pages; the last row is not looked at.
+        first: x and y of its first cell, in cells of the map's pages.
+    """
+
+    cells: DeviceArray[np.uint8]
+    first: tuple[int, int]
+
+    def has(
+        self, low: Sequence[float], high: Sequence[float], pages: DeviceArray[np.int32]
+    ) -> bool:
+        """Whether it has all of the map between two corners, x and y each in cells of its pages."""
+        return all(
+            first <= max(0.0, least) and min(size * TILE, most) <= first + cells
+            for first, cells, size, least, most in zip(
+                self.first, self.cells.shape[::-1], pages.shape[::-1], low, high, strict=True
+            )
+        )
+
+    @property
+    def box(self) -> tuple[int, int, int, int]:
+        """Column and row of its first page, and columns and rows of pages."""
+        height, width = self.cells.shape
+        return self.first[0] // TILE, self.first[1] // TILE, width // TILE, height // TILE
+
+
+def _span(low: float, high: float, pages: int) -> tuple[int, int]:
+    """Return the first page and the end of a window along one side of a map."""
+    first = min(max(math.floor(low / TILE), 0), pages - 1)
+    return first, min(max(math.ceil(high / TILE), first + 1), pages)
+
+
+def dense_pages(field: npt.NDArray[Any], pages: I32) -> U8:
+    """Return the field (H, W) of pages (PH, PW)."""
+    tiles = field[pages][..., :TILE].astype(np.uint8)
+    return tiles.transpose(0, 2, 1, 3).reshape(pages.shape[0] * TILE, pages.shape[1] * TILE)
 
 
 def tile_bytes(pool: DeviceArray[Any]) -> int:
@@ -121,3 +165,26 @@ class TileDevice(ArrayDevice):
                 pool, words, self.upload(numbers), count,
             )  # fmt: skip
         return np.asarray(host(pool)[numbers])
+
+    def field_window(
+        self,
+        field: DeviceArray[Any],
+        pages: DeviceArray[np.int32],
+        low: Sequence[float] | F64 | I64,
+        high: Sequence[float] | F64 | I64,
+    ) -> FieldWindow:
+        """Return the pages of a map between two corners, x and y each in cells of its pages.
+
+        Its field is uint8, (T, TILE, TILE), or of pairs, see ``hit_counts``.
+        """
+        width = pages.shape[1]
+        left, right = _span(low[0], high[0], width)
+        bottom, top = _span(low[1], high[1], pages.shape[0])
+        first, cols, rows = (left * TILE, bottom * TILE), right - left, top - bottom
+        if self.opencl:
+            cells = self.opencl.launch_new(
+                (rows * TILE, cols * TILE), np.uint8, "copy_window", (rows * cols,), field,
+                field.shape[2], field.dtype.itemsize, pages, width, left, bottom, cols, rows,
+            )  # fmt: skip
+            return FieldWindow(cells, first)
+        return FieldWindow(dense_pages(host(field), host(pages)[bottom:top, left:right]), first)

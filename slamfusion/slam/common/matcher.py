@@ -13,14 +13,13 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from slamfusion.compute import ComputeDevice
-from slamfusion.compute.arrays import DeviceArray
 from slamfusion.compute.layout import (
     CLIMBERS,
     FIELD_ONE,
@@ -28,7 +27,8 @@ from slamfusion.compute.layout import (
     START_FLOATS,
     TABLE_LAST,
 )
-from slamfusion.compute.scan_match import SAME, FieldWindow, upload_hits
+from slamfusion.compute.scan_match import SAME, upload_hits
+from slamfusion.compute.tiles import FieldWindow
 from slamfusion.geometry import F32, F64, I32, I64, corners, wrap_angle
 
 # Distance, metres, between the five cells whose maximum the first look uses: the draws' spacing.
@@ -87,21 +87,17 @@ class Match:
 
 
 class FieldMap(NamedTuple):
-    """A tiled score field, and where it lies.
+    """A score field, and where it lies.
 
     Attributes:
-        field: (T, TILE, TILE) uint8 wall values, on the device.
-        pages: (PH, PW) int32, on the device.
-        corner: (2,) x and y of the window's lower-left corner in the map frame, cells.
+        window: returns its part between two corners, x and y each in cells.
+        corner: (2,) x and y of its lower-left corner in the map frame, cells.
         resolution: metres per cell.
-        whole: a dense copy of all of it, if there is one.
     """
 
-    field: DeviceArray[Any]
-    pages: DeviceArray[Any]
+    window: Callable[[Sequence[float], Sequence[float]], FieldWindow]
     corner: F64
     resolution: float
-    whole: FieldWindow | None = None
 
 
 class ScanOnTiles:
@@ -121,10 +117,7 @@ class ScanOnTiles:
         cells = np.sort(np.floor(hits) @ _CELL_NUMBER)
         self.cells = 1 + int(np.count_nonzero(cells[1:] != cells[:-1]))
         self._reach = max(1, round(WIDE_REACH_M / walls.resolution))
-        # A dense copy of the field around some poses, and the corners of their box, in cells of the
-        # pages.
-        self._window: FieldWindow
-        self._box = (math.inf, math.inf, -math.inf, -math.inf)
+        # How far from a pose hits are looked at, in cells.
         self._range = math.sqrt((looked_at * looked_at).sum(axis=1).max()) + self._reach + 2.0
 
     def scores(self, poses: F64) -> F64:
@@ -140,7 +133,7 @@ class ScanOnTiles:
     def _sums(self, poses: F64, table: I32 = SAME) -> I64:
         at = pose_table(poses, self.walls.resolution, self.walls.corner)
         low, high = corners(at)
-        window = self._window_at(*low.tolist(), *high.tolist())
+        window = self._window_at(low.tolist(), high.tolist())
         return self._device.score_poses(window, self._points, at, table=table)
 
     def search(self, hypotheses: F32, poses: F32, steps: F32, away: float) -> list[float]:
@@ -149,27 +142,18 @@ class ScanOnTiles:
         ``away`` is how far from a hypothesis poses may lie, in cells of the pages.
         """
         x, y = hypotheses[:, 0].tolist(), hypotheses[:, 1].tolist()
-        window = self._window_at(min(x) - away, min(y) - away, max(x) + away, max(y) + away)
+        low, high = [min(x) - away, min(y) - away], [max(x) + away, max(y) + away]
+        window = self._window_at(low, high)
         found = self._device.search(
             window, self._points, hypotheses, poses, steps, reach=self._reach
         )
         x, y, yaw, _, _, objective = found[found[:, 5].argmax()].tolist()
         return [x, y, yaw, objective]
 
-    def _window_at(self, left: float, bottom: float, right: float, top: float) -> FieldWindow:
+    def _window_at(self, low: list[float], high: list[float]) -> FieldWindow:
         """Return a window with all that hits reach at poses in a box, in cells of the pages."""
-        if self.walls.whole is not None:
-            return self.walls.whole
-        west, south, east, north = self._box
-        if left < west or bottom < south or right > east or top > north:
-            self._box, reach = (left, bottom, right, top), self._range
-            self._window = self._device.field_window(
-                self.walls.field,
-                self.walls.pages,
-                (left - reach, bottom - reach),
-                (right + reach, top + reach),
-            )
-        return self._window
+        reach = self._range
+        return self.walls.window([at - reach for at in low], [at + reach for at in high])
 
 
 def pose_table(poses: F64, cell: float, corner: F64) -> F32:

@@ -20,7 +20,7 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.compute.arrays import DeviceArray
 from slamfusion.compute.cell_means import LikelihoodRule, ScanRule
 from slamfusion.compute.layout import BEAM_ONE, TILE
-from slamfusion.compute.tiles import tile_bytes
+from slamfusion.compute.tiles import FieldWindow, tile_bytes
 from slamfusion.errors import MemoryBudgetError
 from slamfusion.geometry import B8, F64, I8, I64, Pose2, corners
 from slamfusion.grid import OccupancyGrid
@@ -117,7 +117,7 @@ class _Tiles:
         self._send()
 
     def page_of(self, place: Sequence[float] | F64) -> tuple[int, int]:
-        """Return column and row in the window of the page at a place, (2,) cells from the anchor."""
+        """Return column and row in the window of the page at a place (2,), in cells."""
         (x, y), (left, bottom) = place, self.corner.tolist()
         return math.floor(x / TILE) - left, math.floor(y / TILE) - bottom
 
@@ -188,7 +188,9 @@ class TileMap(_Tiles):
     ) -> None:
         """Make pools with their empty tile, given the dtype and the fill value by name."""
         self._fills = {name: fill for name, (_, fill) in pools.items()}
+        # Pages that beams have met, and the last part of the field that was asked for.
         self._met: Any = None
+        self._window: FieldWindow | None = None
         super().__init__(
             device,
             {name: np.full((TILE, TILE), fill, kind) for name, (kind, fill) in pools.items()},
@@ -224,12 +226,25 @@ class TileMap(_Tiles):
             device.mark_scan(self.pools, self.page_tables, again, rule, self._met)
         (left, bottom), (right, top) = self.page_of(low), self.page_of(high)
         box = left, bottom, right + 1 - left, top + 1 - bottom
-        device.integrate_scan(self.pools, self.page_tables, self._met, box, rule)
+        device.integrate_scan(self.pools, self.page_tables, self._met, box, rule, self._window)
+
+    def window(self, low: Sequence[float], high: Sequence[float]) -> FieldWindow:
+        """Return a part of the field between two corners, x and y in cells of the window of pages.
+
+        It follows what is written, and has room around, so that it is seldom copied.
+        """
+        window, pages = self._window, self.page_tables
+        if window is None or not window.has(low, high, pages):
+            room = MARGIN * TILE
+            low, high = [at - room for at in low], [at + room for at in high]
+            window = self._device.field_window(self.pools["field"], pages, low, high)
+            self._window = window
+        return window
 
     def keep_only(self, name: str) -> None:
         """Free every pool but one; the map becomes read-only."""
         self.pools = {name: self.pools[name]}
-        self._met = None
+        self._met = self._window = None
 
     def _provide_met(self) -> None:
         """Give a tile to every page that beams met."""
@@ -243,6 +258,7 @@ class TileMap(_Tiles):
     def _send(self) -> None:
         super()._send()
         self._met = self._device.upload(np.zeros_like(self.pages))
+        self._window = None
 
 
 class SharedTileMaps(_Tiles):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -213,7 +214,8 @@ class ParticleMaps(Stateful):
         """Return one particle's map as the matcher sees it."""
         tiles = self.tiles
         field, pages = tiles.pools["field"], tiles.page_table(index)
-        return FieldMap(field, pages, self.corner, self._config.delta)
+        window = partial(self._device.field_window, field, pages)
+        return FieldMap(window, self.corner, self._config.delta)
 
     def grid(self, index: int, name: str) -> OccupancyGrid:
         """Return one particle's map as it is published."""

@@ -17,7 +17,7 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.compute.arrays import DeviceArray
 from slamfusion.compute.cell_means import LikelihoodRule
 from slamfusion.compute.layout import BEAM_ONE, TILE
-from slamfusion.compute.scan_match import FieldWindow
+from slamfusion.compute.tiles import FieldWindow
 from slamfusion.geometry import F64, U8, Pose2, wrap_angles
 from slamfusion.slam.common.matcher import FieldMap
 from slamfusion.slam.common.state import Stateful
@@ -147,11 +147,15 @@ class Submap(Stateful):
     def walls(self) -> FieldMap:
         """Return it as the matcher sees it; poses are in the anchor's frame."""
         tiles = self._tiles
-        field, pages = tiles.pools["field"], tiles.page_tables
-        if self.is_finished and self._window is None:
-            low, high = tiles.used_box()
-            self._window = self._device.field_window(field, pages, low - TILE, high + TILE)
-        return FieldMap(field, pages, tiles.origin, self._cell, self._window)
+        if not self.is_finished:
+            return FieldMap(tiles.window, tiles.origin, self._cell)
+        if self._window is None:
+            field, (low, high) = tiles.pools["field"], tiles.used_box()
+            self._window = self._device.field_window(
+                field, tiles.page_tables, low - TILE, high + TILE
+            )
+        whole = self._window
+        return FieldMap(lambda *_: whole, tiles.origin, self._cell)
 
     def insert(self, points: F64, laser: F64, pose: Pose2) -> None:
         """Add a scan of the submap's own; see ``draw``."""

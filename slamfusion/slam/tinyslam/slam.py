@@ -201,7 +201,7 @@ class TinySlam:
         """Return the map as the matcher sees it."""
         cell, tiles = self._config.resolution, self._map
         corner = self._anchor / cell + tiles.origin
-        return FieldMap(tiles.pools["field"], tiles.page_tables, corner, cell)
+        return FieldMap(tiles.window, corner, cell)
 
     # -- the map -------------------------------------------------------------------------------
 

@@ -165,6 +165,7 @@ def _write_scans(
     }
     table, met = device.upload(pages), device.upload(np.zeros_like(pages))
     box = (0, 0, *pages.shape[::-1])
+    window = device.field_window(pools["field"], table, (TILE + 1.0, 3.0), (2.0 * TILE, 70.0))
     results: Arrays = []
     for seed, rule in enumerate(rules):
         beams = _beams(replace(sample, seed=sample.seed + seed))
@@ -173,8 +174,8 @@ def _write_scans(
         handle = device.upload(beams)
         results.append(device.mark_scan(pools, table, handle, rule, met))
         results += [array.copy() for array in fetch(device, [met, pools["observed"]])]
-        device.integrate_scan(pools, table, met, box, rule)
-    return [*results, *fetch(device, [met, *pools.values()])]
+        device.integrate_scan(pools, table, met, box, rule, window)
+    return [*results, *fetch(device, [met, *pools.values()]), device.download(window.cells)]
 
 
 def _scan_map(device: ComputeDevice, sample: Sample) -> Arrays:

