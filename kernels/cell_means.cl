@@ -39,23 +39,13 @@
 
 /* -- tinySLAM ----------------------------------------------------------------------------------- */
 
-/* A beam: x, y of its hit and of the laser in 1/1024 cell, length likewise, value of a hit. */
-INLINE walk beam_walk(__global const int *beam) {
-  return walk_of(beam[0], beam[1], beam[2], beam[3]);
-}
-
-/* Length of a step of the beam's walk in 1/2^20 cell. */
-INLINE long beam_step(__global const int *beam, const walk w) {
-  return (long)beam[4] * (1 << WALK_SHIFT) / w.longest;
-}
-
 /* Mark the cells of each beam.
  *
  * observed   uint pool
  * pages      int, width x height
- * beams      VALLEY_BEAM_INTS ints per beam, see above; the last is the value at the ridge of the
- *            valley, 0 to VALUE_ONE
- * half_blur  half width of the valley, 1/1024 cell
+ * beams      VALLEY_BEAM_INTS ints per beam: x, y of its hit and of the laser in 1/1024 cell, length
+ *            likewise, value at the ridge of the valley, 0 to VALUE_ONE
+ * half_blur  half width of the valley, 1/1024 cell, at most 2^19
  * behind     least value that is written behind the hit
  * free       value of a cell that the beam passed, 0 to VALUE_ONE
  * met        int for each page, set to 1 where the beam has cells
@@ -71,17 +61,18 @@ __kernel void mark_scan(
   }
   __global const int *beam = beams + VALLEY_BEAM_INTS * item;
   const int rise = beam[5] > free ? beam[5] - free : 0;
-  const walk w = beam_walk(beam);
-  const long step = beam_step(beam, w);
+  const walk w = walk_of(beam[0], beam[1], beam[2], beam[3]);
+  /* Length of a step of the walk in 1/2^20 cell. */
+  const long step = (long)beam[4] * (1 << WALK_SHIFT) / w.longest;
   const long reach = step > 0 ? ((long)half_blur << WALK_TO_BEAM_SHIFT) / step : 0;
   int any = 0;
   for (long i = -reach; i <= w.steps; i++) {
     uint word = (uint)(free << VALUE_SHIFT | 1);
     if (i <= reach) {  /* beyond, the beam has passed: no division */
-      const long away = ((i < 0 ? -i : i) * step) >> WALK_TO_BEAM_SHIFT;
+      const int away = (int)(((i < 0 ? -i : i) * step) >> WALK_TO_BEAM_SHIFT);
       int value = free;
       if (away < half_blur) {
-        value = free + (int)(rise * (half_blur - away) / half_blur);
+        value = free + rise * (half_blur - away) / half_blur;
       }
       if (i < 0 && value < behind) {
         continue;

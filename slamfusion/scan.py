@@ -94,14 +94,12 @@ class LaserScan:
 
     def is_hit(self, usable_m: float = math.inf) -> B8:
         """Return which beams hit something below ``usable_m``, (N,)."""
-        with np.errstate(invalid="ignore"):
-            hit = (self.ranges >= self.range_min_m) & (self.ranges > 0.0)
-            return np.asarray(hit & (self.ranges < min(self.range_max_m, usable_m)))
+        hit = (self.ranges >= self.range_min_m) & (self.ranges > 0.0)
+        return np.asarray(hit & (self.ranges < min(self.range_max_m, usable_m)))
 
     def is_clear(self) -> B8:
         """Return which beams have no return up to ``range_max_m``, (N,): +inf or over-range."""
-        with np.errstate(invalid="ignore"):
-            return np.asarray(self.ranges >= self.range_max_m)
+        return np.asarray(self.ranges >= self.range_max_m)
 
     def remounted(self, mounting: LaserMounting) -> LaserScan:
         """Return the scan of a laser that is mirrored (upside down) or looks backward."""
@@ -124,6 +122,8 @@ class LaserScan:
         chosen = self.is_hit() if beams is None else beams
         mount, ranges = self.mount, self.ranges if ranges_m is None else ranges_m
         laser = len(self), self.angle_min_rad, self.angle_increment_rad, mount.yaw_rad
-        ends = _directions(*laser)[chosen] * ranges[chosen, None].astype(np.float64)
+        # A third of the time of an index.
+        ends = _directions(*laser).compress(chosen, axis=0)
+        ends *= ranges.compress(chosen)[:, None]
         ends += mount.x, mount.y
         return ends if self.motion is None else transform_points(self.motion[chosen], ends)

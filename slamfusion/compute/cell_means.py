@@ -54,7 +54,7 @@ class ScanRule(NamedTuple):
     strongest word of a cell stays: a hit over the greatest value over in front over behind.
 
     Attributes:
-        half_blur: half width of the valley around a hit, 1/1024 cell.
+        half_blur: half width of the valley around a hit, 1/1024 cell; at most 2^19.
         behind: least value that is written behind a hit, 0 to 4095.
         free: value of a passed cell for the matcher, 0 to 4095.
         quality: weight of the scan, in 1/1024.

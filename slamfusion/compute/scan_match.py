@@ -171,15 +171,15 @@ class ScanMatchDevice(ArrayDevice):
         own, climbers = len(hypotheses), steps.shape[1]
         count = len(poses) - own
         if self.opencl:
-            wrap = self.opencl.wrap_host
-            scan, given = (*_arguments(window), points), (wrap(hypotheses), own, wrap(poses))
+            scan = *_arguments(window), points
+            given = self.upload(hypotheses), own, self.upload(poses)
             looks = self.opencl.launch_new(
                 (count,), np.float32, "look", (count,), *scan, first, *given, count, reach,
                 scales[0],
             )  # fmt: skip
             return self.opencl.launch_into(
                 np.empty((climbers, FOUND_FLOATS), dtype=np.float32), "climb",
-                (climbers * CLIMBERS,), *scan, second, *given, looks, count, wrap(steps),
+                (climbers * CLIMBERS,), *scan, second, *given, looks, count, self.upload(steps),
                 len(steps), scales[1],
             )  # fmt: skip
 

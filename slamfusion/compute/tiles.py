@@ -84,11 +84,13 @@ class FieldWindow(NamedTuple):
         self, low: Sequence[float], high: Sequence[float], pages: DeviceArray[np.int32]
     ) -> bool:
         """Whether it has all of the map between two corners, x and y each in cells of its pages."""
-        return all(
-            first <= max(0.0, least) and min(size * TILE, most) <= first + cells
-            for first, cells, size, least, most in zip(
-                self.first, self.cells.shape[::-1], pages.shape[::-1], low, high, strict=True
-            )
+        (left, bottom), (height, width) = self.first, self.cells.shape
+        rows, cols = pages.shape
+        return (
+            left <= max(0.0, low[0])
+            and bottom <= max(0.0, low[1])
+            and min(cols * TILE, high[0]) <= left + width
+            and min(rows * TILE, high[1]) <= bottom + height
         )
 
     @property

@@ -20,13 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from slamfusion.compute import ComputeDevice
-from slamfusion.compute.layout import (
-    CLIMBERS,
-    FIELD_ONE,
-    HYPOTHESIS_FLOATS,
-    START_FLOATS,
-    TABLE_LAST,
-)
+from slamfusion.compute.layout import CLIMBERS, FIELD_ONE, START_FLOATS, TABLE_LAST
 from slamfusion.compute.scan_match import SAME, upload_hits
 from slamfusion.compute.tiles import FieldWindow
 from slamfusion.geometry import F32, F64, I32, I64, corners, wrap_angle
@@ -42,7 +36,7 @@ FIRST_POSES, STARTS, ROUNDS = 256, 6, 4
 # Score lost one spread from the expected place, and from the expected heading.
 PRIOR_WEIGHT_XY, PRIOR_WEIGHT_YAW = 0.04, 0.005
 # Shares of the spread that the steps of a climb have, by round: by the last one far below a cell.
-NARROWINGS = 0.4 * 0.5 ** np.arange(ROUNDS)
+NARROWINGS = tuple(0.4 * 0.5**k for k in range(ROUNDS))
 
 
 def spread_of(xy_m: float, yaw_rad: float) -> F64:
@@ -118,7 +112,7 @@ class ScanOnTiles:
         self.cells = 1 + int(np.count_nonzero(cells[1:] != cells[:-1]))
         self._reach = max(1, round(WIDE_REACH_M / walls.resolution))
         # How far from a pose hits are looked at, in cells.
-        self._range = math.sqrt((looked_at * looked_at).sum(axis=1).max()) + self._reach + 2.0
+        self._range = math.sqrt(np.square(hits).dot((1.0, 1.0)).max()) + self._reach + 2.0
 
     def scores(self, poses: F64) -> F64:
         """Return (N,) scores, 0 to 1, of poses (N, 3): mean wall value under the hits."""
@@ -136,19 +130,19 @@ class ScanOnTiles:
         window = self._window_at(low.tolist(), high.tolist())
         return self._device.score_poses(window, self._points, at, table=table)
 
-    def search(self, hypotheses: F32, poses: F32, steps: F32, away: float) -> list[float]:
+    def search(
+        self, losses: Sequence[tuple[float, ...]], poses: F32, steps: F32, away: float
+    ) -> tuple[float, float, float, float]:
         """Return x, y, yaw and the objective of the best pose; see ``ScanMatchDevice.search``.
 
-        ``away`` is how far from a hypothesis poses may lie, in cells of the pages.
+        ``losses`` are its hypotheses, and ``away`` how far from one poses may lie, in cells.
         """
-        x, y = hypotheses[:, 0].tolist(), hypotheses[:, 1].tolist()
-        low, high = [min(x) - away, min(y) - away], [max(x) + away, max(y) + away]
-        window = self._window_at(low, high)
-        found = self._device.search(
-            window, self._points, hypotheses, poses, steps, reach=self._reach
-        )
+        x, y, *_ = zip(*losses, strict=True)
+        window = self._window_at([min(x) - away, min(y) - away], [max(x) + away, max(y) + away])
+        given = np.array(losses, dtype=np.float32)
+        found = self._device.search(window, self._points, given, poses, steps, reach=self._reach)
         x, y, yaw, _, _, objective = found[found[:, 5].argmax()].tolist()
-        return [x, y, yaw, objective]
+        return x, y, yaw, objective
 
     def _window_at(self, low: list[float], high: list[float]) -> FieldWindow:
         """Return a window with all that hits reach at poses in a box, in cells of the pages."""
@@ -177,57 +171,49 @@ def search_pose(
     climbs: int = STARTS,
 ) -> Match:
     """Search around at least one hypothesis, with equal numbers of first poses."""
-    centres = [one.pose.tolist() for one in hypotheses]
-    spreads = [one.spread.tolist() for one in hypotheses]
     # A mean over few cells is less certain, so the hypotheses weigh more.
     weight = max(1.0, TELLING_CELLS / scan.cells)
-    weights = (PRIOR_WEIGHT_XY * weight * trust,) * 2 + (PRIOR_WEIGHT_YAW * weight,)
-
-    # In cells of the pages; headings near 0, within float32's precision.
-    corner, yaw0 = (*scan.walls.corner.tolist(), 0.0), centres[0][2]
-    units = (scan.walls.resolution, scan.walls.resolution, 1.0)
-    sigmas = np.array(spreads) / units
-    places = [
-        (x / units[0] - corner[0], y / units[1] - corner[1], wrap_angle(yaw - yaw0))
-        for x, y, yaw in centres
+    weights = PRIOR_WEIGHT_XY * weight * trust, PRIOR_WEIGHT_YAW * weight
+    # Places in cells of the pages; headings near 0, within float32's precision.
+    cell, (west, south) = scan.walls.resolution, scan.walls.corner.tolist()
+    centres = [one.pose.tolist() for one in hypotheses]
+    spreads = [one.spread.tolist() for one in hypotheses]
+    yaw0 = centres[0][2]
+    places = [(x / cell - west, y / cell - south, wrap_angle(yaw - yaw0)) for x, y, yaw in centres]
+    sigmas = [(x / cell, y / cell, yaw) for x, y, yaw in spreads]
+    losses = [
+        (*place, weights[0] / x**2, weights[0] / y**2, weights[1] / yaw**2, one.loss)
+        for place, (x, y, yaw), one in zip(places, sigmas, hypotheses, strict=True)
     ]
-    losses = np.empty((len(hypotheses), HYPOTHESIS_FLOATS), dtype=np.float32)
-    losses[:, :3], losses[:, 3:6] = places, weights / sigmas**2
-    losses[:, 6] = [one.loss for one in hypotheses]
-    # The hypotheses themselves, the first look around them, and the steps of the climbs.
+    # The first look around the hypotheses, and the steps of the climbs.
     own, each = len(hypotheses), -(-first_poses // len(hypotheses))
-    looked, shape = own + own * each, (ROUNDS, climbs + own, CLIMBERS)
-    normals = rng.standard_normal((own * each + math.prod(shape), 3))
-    table = np.empty((own + len(normals), START_FLOATS))
-    table[:own, :3] = places
-    draws = table[own:looked].reshape(own, each, START_FLOATS)[..., :3]
-    np.multiply(normals[: own * each].reshape(draws.shape), sigmas[:, None], out=draws)
-    draws += table[:own, None, :3]
-    steps, widest = table[looked:].reshape(*shape, START_FLOATS)[..., :3], sigmas.max(axis=0)
-    widths = widest * NARROWINGS[:, None, None, None]
-    np.multiply(normals[own * each :].reshape(steps.shape), widths, out=steps)
-    steps[:, :, 0] = 0.0  # each round's first step keeps the best pose so far
-    yaws = table[:, 2].copy()
+    looked, shape = own * each, (ROUNDS, climbs + own, CLIMBERS)
+    rows = rng.standard_normal((looked + math.prod(shape), 3))
+    widest = [max(sizes) for sizes in zip(*sigmas, strict=True)]
+    farthest = float(np.abs(rows).max()) * max(widest[:2]) * (1.0 + sum(NARROWINGS))
+    widths = [[share * size for size in widest] for share in NARROWINGS]
+    counts = [each] * own + [math.prod(shape[1:])] * ROUNDS
+    rows *= np.array(sigmas + widths).repeat(counts, axis=0)
+    rows[:looked] += np.array(places).repeat(each, axis=0)
+    rows[looked::CLIMBERS] = 0.0  # each round's first step keeps the best pose so far
+    yaws = rows[:, 2].copy()
     yaws[:looked] += yaw0
-    np.cos(yaws, out=table[:, 3])
-    np.sin(yaws, out=table[:, 4])
-    rows = table.astype(np.float32)
-    away = float(np.abs(normals).max() * widest[:2].max() * (1.0 + NARROWINGS.sum()))
-    *place, turn, objective = scan.search(
-        losses, rows[:looked], rows[looked:].reshape(*shape, -1), away
-    )
-    x, y = ((at + low) * unit for at, low, unit in zip(place, corner, units, strict=False))
-    yaw = wrap_angle(turn + yaw0)
-
+    table = np.empty((own + len(rows), START_FLOATS), dtype=np.float32)
+    table[:own] = [
+        (*place, math.cos(yaw), math.sin(yaw))
+        for place, (_, _, yaw) in zip(places, centres, strict=True)
+    ]
+    table[own:, :3], table[own:, 3], table[own:, 4] = rows, np.cos(yaws), np.sin(yaws)
+    poses, steps = table[: own + looked], table[own + looked :].reshape(*shape, START_FLOATS)
+    x, y, turn, objective = scan.search(losses, poses, steps, farthest)
+    x, y, yaw = (x + west) * cell, (y + south) * cell, wrap_angle(turn + yaw0)
     # Distances from the hypotheses, in spreads.
     distances = [
-        ((x - at_x) / sigma_x, (y - at_y) / sigma_y, wrap_angle(yaw - at_yaw) / sigma_yaw)
-        for (at_x, at_y, at_yaw), (sigma_x, sigma_y, sigma_yaw) in zip(
-            centres, spreads, strict=True
-        )
+        ((x - at[0]) / sigma[0], (y - at[1]) / sigma[1], wrap_angle(yaw - at[2]) / sigma[2])
+        for at, sigma in zip(centres, spreads, strict=True)
     ]
     loss = min(
-        weights[0] * (dx * dx + dy * dy) + weights[2] * dyaw * dyaw + one.loss
+        weights[0] * (dx * dx + dy * dy) + weights[1] * dyaw * dyaw + one.loss
         for (dx, dy, dyaw), one in zip(distances, hypotheses, strict=True)
     )
     return Match(

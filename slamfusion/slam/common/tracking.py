@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -119,7 +119,7 @@ class Tracker(Stateful):
             return [self._hypothesis(onward, NO_ODOMETRY_SPREAD, 0.0)]
         trust = self._trust(step)
         return [
-            replace(self._hypothesis(step, 1.0, 0.0), by_odometry=True, trust=trust),
+            self._hypothesis(step, 1.0, 0.0, by_odometry=True, trust=trust),
             # For odometry that stalls and then catches up, and for wheels that slip.
             self._hypothesis(onward, 1.0, DRIFT_LOSS * trust),
         ]
@@ -195,9 +195,10 @@ class Tracker(Stateful):
             return 1.0
         return max(1.0, min(YOUNG_SCANS / max(1, self.health.scans_used), STANDING_LOSS / standing))
 
-    def _hypothesis(self, step: Pose2, wider: float, loss: float) -> PoseHypothesis:
+    def _hypothesis(self, step: Pose2, wider: float, loss: float, **more: Any) -> PoseHypothesis:
         start = self.pose or IDENTITY
-        return PoseHypothesis(row_of(start.compose(step)), self._spread(step, wider), loss)
+        spread = self._spread(step, wider)
+        return PoseHypothesis(row_of(start.compose(step)), spread, loss, **more)
 
     def _spread(self, step: Pose2, wider: float) -> F64:
         return spread_of(

@@ -212,15 +212,15 @@ class TinySlam:
         at = pose.compose(scan.mount)
         laser = (at.x - self._anchor[0]) / cell, (at.y - self._anchor[1]) / cell
         away = hits - laser
-        told: F64 | float = OCCUPIED_VALUE
+        ridge: F64 | int = round(OCCUPIED_VALUE * VALUE_ONE)
         if self._config.occupancy_estimator == "area":
             offset = hits - np.floor(hits) - 0.5
             angle = np.arctan2(away[:, 1], away[:, 0])
-            told = FREE_VALUE + (OCCUPIED_VALUE - FREE_VALUE) * area_behind(
-                offset[:, 0], offset[:, 1], angle
-            )
+            share = area_behind(offset[:, 0], offset[:, 1], angle)
+            told = FREE_VALUE + (OCCUPIED_VALUE - FREE_VALUE) * share
+            ridge = np.rint(told * VALUE_ONE)
         length = np.hypot(away[:, 0], away[:, 1]) * BEAM_ONE
-        self._map.write(hits, laser, rule, length, np.rint(told * VALUE_ONE))
+        self._map.write(hits, laser, rule, length, ridge)
 
 
 def _scan_rule(config: TinySlamConfig, weight: float) -> ScanRule:
