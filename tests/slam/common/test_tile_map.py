@@ -104,6 +104,22 @@ def test_a_valley_slopes_to_both_sides_of_a_hit(device: ComputeDevice):
     assert max(col for col, _ in seen(tiles)) == 20  # the published map knows nothing behind
 
 
+def test_a_window_of_the_field_follows_what_is_written(device: ComputeDevice):
+    tiles = TileMap(device, POOLS)
+    write(tiles, (80, 9))
+    low, high = [150.0, 140.0], [170.0, 190.0]
+    window = tiles.window(low, high)
+    write(tiles, (70, 20))
+    write(tiles, (10, -9))
+    assert tiles.window(low, high) is window
+    cells, (x, y) = device.download(window.cells), window.first
+    whole = device.field_window(tiles.pools["field"], tiles.page_tables, (0, 0), (9999, 9999))
+    height, width = cells.shape
+    wanted = device.download(whole.cells)[y : y + height, x : x + width]
+    np.testing.assert_array_equal(cells, wanted)
+    assert len(np.unique(wanted)) > 1
+
+
 def test_a_likelihood_spreads_around_a_hit_and_is_nothing_where_a_beam_passed(
     device: ComputeDevice,
 ):
