@@ -31,9 +31,13 @@ INLINE int hit_place(const int cell, const int facing) {
   return (tile * FACINGS + facing) * TILE_CELLS + (cell - tile * TILE_CELLS);
 }
 
-/* Set bits of a word; most beams find them set, and an atomic takes as long as ten reads. */
+/* Set bits of a word. Most beams find them set, and on a CPU an atomic takes as long as ten reads; bits
+ * are never taken back, so that a word read too early costs an atomic in vain. */
 INLINE void set_bits(volatile __global uint *word, const uint bits) {
-  if (~*word & bits) atomic_or(word, bits);
+#ifdef ONE_THREAD_A_GROUP
+  if (!(~*word & bits)) return;
+#endif
+  atomic_or(word, bits);
 }
 
 /* Mark beams with the bits of their chunks: every cell of the walk is seen, that of the end hit.
