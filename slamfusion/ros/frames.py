@@ -154,17 +154,19 @@ class TransformOutput:
         self._latched = node.create_publisher(kind, static, static_qos)
         node.create_subscription(kind, moving, self._listen, qos.TF)
 
-    def send(
-        self, pose: Pose2, parent: str, child: str, stamp: Time, *, is_static: bool = False
-    ) -> None:
-        """Send the pose of a frame in another one at a stamp; the one static pose is latched."""
-        item = transform_to_message(pose, parent, child, stamp)
+    def send(self, parent: str, *poses: tuple[str, Pose2, Time], is_static: bool = False) -> None:
+        """Send poses of frames in another one, each with its stamp, in one message if there is /tf.
+
+        The one static pose is latched.
+        """
+        items = [transform_to_message(pose, parent, child, stamp) for child, pose, stamp in poses]
         publisher = self._latched if is_static else self._moving
         if not is_static:
             with self._lock:
-                self._own.append(_key(item))
-                self._children.add(child)
-        publisher.publish(TFMessage(transforms=[item]) if HAS_TF2 else item)
+                self._own.extend(map(_key, items))
+                self._children.update(item.child_frame_id for item in items)
+        for message in [TFMessage(transforms=items)] if HAS_TF2 and items else items:
+            publisher.publish(message)
 
     def rival(self, first: str = "") -> tuple[str, str]:
         """Return a child frame that another node sent in the last seconds, and a sentence.

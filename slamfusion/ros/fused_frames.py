@@ -189,11 +189,11 @@ class ChildFrames:
 class FusedFrames:
     """Sends fused_map -> every voter's map frame, the fused pose, and fused_map -> odom.
 
-    A voter's transform is sent with each of its poses, at their stamps; without poses, at the
-    newest stamp received. The fused pose is that of the leader: the supported input that is nearest
-    to the fused path, whose scan is matched to the walls along it; without scans the reference, or
-    else the best score, until it stops voting or is silent while others send poses. Stamps only
-    increase (``_fresh``). The odometry frame is sent at stamps of the odometry (``OdomFrame``).
+    The voters' transforms are sent with each new stamp of a pose or map, in one message. The fused
+    pose is that of the leader: the supported input that is nearest to the fused path, whose scan is
+    matched to the walls along it; without scans the reference, or else the best score, until it
+    stops voting or is silent while others send poses. Stamps only increase (``_fresh``). The
+    odometry frame is sent at stamps of the odometry (``OdomFrame``).
 
     Attributes:
         leader: name of the input that gives the pose; empty without.
@@ -236,7 +236,7 @@ class FusedFrames:
     def look(self) -> None:
         """Send changes of a new fusion and frames of voters without poses; report problems."""
         self._read()
-        now_s, sources = time.monotonic(), self._node.inputs.sources.values()
+        sources = self._node.inputs.sources.values()
         for source in sources:
             self.child_frame(source)  # claimed in the order of the inputs
         if self._sent_state.inputs is not self._state.inputs:
@@ -245,12 +245,10 @@ class FusedFrames:
                 if source.pose is not None:
                     self._send(source, source.pose, is_revised=True)
         for source in sources:
-            transform = self._state.transform(source.name)
-            has_pose = source.pose is not None and now_s - source.pose.heard_s < POSE_FRESH_S
             if source.stamp_s is not None:
                 self._note(source.stamp_s)
-            if transform is not None and not has_pose and self._newest_s is not None:
-                self._send_frame(source, transform, messages.to_stamp(self._newest_s))
+        if self._newest_s is not None:
+            self._send_frames(messages.to_stamp(self._newest_s))
         self._name_problems()
 
     def drive(self) -> None:
@@ -271,7 +269,7 @@ class FusedFrames:
         if moved is not None:
             self._driven_s = stamp_s
             stamp = messages.to_stamp(stamp_s)
-            self._output.send(moved, settings.fused_frame, settings.odom_frame, stamp)
+            self._output.send(settings.fused_frame, (settings.odom_frame, moved, stamp))
 
     def on_time_jump(self) -> None:
         """Forget poses, and what was sent for later times."""
@@ -299,8 +297,7 @@ class FusedFrames:
         if transform is None and source.name not in self._supported:
             return
         self._note(heard.stamp_s)
-        if transform is not None:
-            self._send_frame(source, transform, heard.stamp)
+        self._send_frames(heard.stamp)
         self.leader = self._choose()
         if source.name != self.leader:
             return
@@ -369,12 +366,16 @@ class FusedFrames:
     def _note(self, stamp_s: float) -> None:
         self._newest_s = stamp_s if self._newest_s is None else max(self._newest_s, stamp_s)
 
-    def _send_frame(self, source: MapSource, transform: Pose2, stamp: Any) -> None:
-        """Send an input's map frame, each value once."""
-        frame = self.child_frame(source)
-        fresh = self._fresh(frame, stamp, transform, is_revised=True) if frame else None
-        if fresh is not None:
-            self._output.send(transform, self._node.settings.fused_frame, frame, fresh)
+    def _send_frames(self, stamp: Any) -> None:
+        """Send the voters' map frames at a stamp, each value once."""
+        poses = []
+        for source in self._node.inputs.sources.values():
+            transform, frame = self._state.transform(source.name), self.child_frame(source)
+            if transform is not None and frame:
+                fresh = self._fresh(frame, stamp, transform, is_revised=True)
+                if fresh is not None:
+                    poses.append((frame, transform, fresh))
+        self._output.send(self._node.settings.fused_frame, *poses)
 
     def _correct(self, pose: Pose2, stamp_s: float) -> None:
         """Correct the odometry frame by the robot's pose in the fused frame; see ``drive``."""

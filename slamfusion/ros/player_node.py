@@ -232,15 +232,17 @@ class PlayerNode(NodeBase):
         self._send_clock(scan.stamp_s)
         if scan.mount != self._mount:
             self._mount = scan.mount
-            frames = settings.base_frame, settings.laser_frame
-            self._transforms.send(scan.mount, *frames, stamp, is_static=True)
+            laser = settings.laser_frame, scan.mount, stamp
+            self._transforms.send(settings.base_frame, laser, is_static=True)
         frames = settings.odom_frame, settings.base_frame
         for one in (item, following):
             if one is None or one.odometry is None:
                 continue
             stamp = messages.to_stamp(one.scan.stamp_s)
             if settings.odometry in {"tf", "both"}:
-                self._transforms.send(one.odometry, *frames, stamp)
+                self._transforms.send(
+                    settings.odom_frame, (settings.base_frame, one.odometry, stamp)
+                )
             if settings.odometry in {"topic", "both"}:
                 self._odometry.publish(messages.odometry_to_message(one.odometry, *frames, stamp))
         self._scans.publish(messages.scan_to_message(scan, settings.laser_frame))

@@ -191,7 +191,7 @@ class ProducerNode(NodeBase):
             if answer.odometry is None:
                 return
             pose = pose.compose(answer.odometry.inverse())
-        self._transforms.send(pose, self._map_frame, self._child_frame, stamp)
+        self._transforms.send(self._map_frame, (self._child_frame, pose, stamp))
         self._has_sent_transform = True
 
     @property
