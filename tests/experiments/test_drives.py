@@ -11,17 +11,14 @@ import pytest
 from slamfusion.config import RunConfig, TrajectoryConfig
 from slamfusion.errors import LogError
 from slamfusion.evaluation.measured import GroundTruth
-from slamfusion.evaluation.relations import read_relations, relation_errors
 from slamfusion.experiments import tinyslam
 from slamfusion.experiments.tinyslam import ATE, RELATIONS, read_drive, table_two
-from slamfusion.io import read_trajectory, write_carmen, write_tum
+from slamfusion.io import write_carmen, write_tum
 from slamfusion.jobs.inputs import LogFiles
 from slamfusion.trajectory import Trajectory
 from tests.experiments.drives import room
-from tests.support.datasets import ABSENT, DATASETS
 
 CONFIG = RunConfig(trajectory=TrajectoryConfig(alignment="none"))
-CSAIL = DATASETS / "mit-csail"
 
 
 def shifted(drive_name: str = "room") -> Trajectory:
@@ -81,23 +78,6 @@ def test_a_drive_is_read_from_its_files(tmp_path: Path) -> None:
 def test_a_drive_that_nothing_measures_is_refused(tmp_path: Path) -> None:
     with pytest.raises(LogError, match="nothing to measure it by"):
         read_drive(LogFiles(tmp_path / "a.log"), RunConfig())
-
-
-@pytest.mark.datasets
-@pytest.mark.skipif(not CSAIL.exists(), reason=ABSENT)
-def test_odometry_and_reference_of_a_recorded_drive_have_their_known_errors() -> None:
-    files = LogFiles(
-        CSAIL / "mit-csail.clf.gz",
-        relations=CSAIL / "mit-csail.relations",
-        truth=CSAIL / "mit-csail-reference-graph.log.gz",
-    )
-    drive = read_drive(files, RunConfig())
-    errors = drive.errors(read_trajectory(files.log), RunConfig())
-    assert errors[RELATIONS] == pytest.approx(1.6815, abs=5e-5)
-    reference = read_trajectory(files.truth or Path())
-    relations = read_relations(files.relations or Path())
-    found = relation_errors(reference, relations, 0.01).translation
-    assert found.mean == pytest.approx(0.0045, abs=5e-5)
 
 
 # --- Table II of [H16] ----------------------------------------------------------------------------
