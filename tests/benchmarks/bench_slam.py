@@ -4,7 +4,7 @@
 
 recordings: mean translation over all relations [K09] of the final path and of the path as first
 reported, of the raw odometry, and of the best trajectory in the folder (the floor). That of Intel
-ends early: ours is given on its relations too. Drives without relations have times only.
+ends early: ours is given on its relations too.
 courses: simulated drives, another course with every seed: absolute trajectory error, error of the
 last pose seen from the first, walls against the truth, and closures. A closure that joins what is
 over 0.5 m or 0.1 rad apart is false.
@@ -32,7 +32,6 @@ from slamfusion.config import DeviceConfig, NormalizeConfig, RunConfig
 from slamfusion.config.run import LidarName
 from slamfusion.evaluation.doubled_walls import doubled_wall_share
 from slamfusion.evaluation.map_error import compare_to_truth
-from slamfusion.evaluation.measured import GroundTruth
 from slamfusion.evaluation.odometry import match_odometry
 from slamfusion.evaluation.relations import Relations
 from slamfusion.evaluation.trajectory_error import trajectory_errors
@@ -56,7 +55,6 @@ BEST = {
     "intel-2726-raw": INTEL / "intel-estimate-11439.txt.gz",
     "intel-910-raw": INTEL / "intel-estimate-11439.txt.gz",
 }
-UNMEASURED = ("tinyslam/exp1.dat.gz", "tinyslam/exp2.dat.gz", "rosbags/test_turtlebot.bag")
 LIDARS = ("hokuyo", "rplidar", "kinect")
 # Courses by the question that a SLAM's page asks; a lidar other than the course's after a comma.
 COURSES = {
@@ -130,19 +128,12 @@ def cost(run: ProducerRun) -> Row:
 
 
 def recorded(bench: Bench) -> Iterator[Drive]:
-    """Yield the recorded drives that are asked for; those with relations first."""
-    found = False
-    for files in MEASURED:
-        if files.log.exists() and bench.chosen([files.log.name.split(".")[0]]):
-            found = True
-            yield read_drive(files, bench.config)
-    for name in UNMEASURED:
-        own = Path(name).name.split(".")[0]
-        if (DATASETS / name).exists() and bench.chosen([own]):
-            found = True
-            yield Drive(own, tuple(open_log(DATASETS / name, bench.config.log)), GroundTruth())
-    if not found:
+    """Yield the recorded drives that are asked for."""
+    if not DATASETS.is_dir():
         raise SystemExit(ABSENT)
+    for files in MEASURED:
+        if bench.chosen([files.log.name.split(".")[0]]):
+            yield read_drive(files, bench.config)
 
 
 def within_floor(drive: Drive, best: Trajectory) -> Drive:
@@ -152,8 +143,6 @@ def within_floor(drive: Drive, best: Trajectory) -> Drive:
     the same relations.
     """
     known = drive.ground_truth.relations
-    if known is None:
-        return drive
     inside = known.stamps_s.max(axis=1) <= best.stamps_s[-1]
     part = Relations(known.stamps_s[inside], known.motions[inside])
     return replace(drive, ground_truth=replace(drive.ground_truth, relations=part))
@@ -175,23 +164,19 @@ def recordings(bench: Bench) -> Iterator[Row]:
     """Errors on the relations, of the final path and as first reported, and the floor; times."""
 
     def error(drive: Drive, path: Trajectory) -> float:
-        return drive.errors(path, bench.config).get(RELATIONS, np.nan) if len(path) else np.nan
+        return drive.errors(path, bench.config)[RELATIONS]
 
     for drive in recorded(bench):
         row: Row = {"drive": drive.name, "scans": len(drive.scans)}
         row["beams"] = len(drive.scans[0].scan)
         row["odometry m"] = error(drive, odometry_path(drive.scans, drive.name))
-        part = None
-        if drive.name in BEST:
-            best = read_trajectory(BEST[drive.name], bench.config.log)
-            part = within_floor(drive, best)
-            row["floor m"] = error(part, at_scans(drive, best, bench.config))
+        best = read_trajectory(BEST[drive.name], bench.config.log)
+        part = within_floor(drive, best)
+        row["floor m"] = error(part, at_scans(drive, best, bench.config))
         for seed in bench.seeds:
             run = bench.run(drive.name, drive.scans, seed)
             row["error m"] = error(drive, run.trajectory)
-            row["on the floor's relations m"] = (
-                np.nan if part is None else error(part, run.trajectory)
-            )
+            row["on the floor's relations m"] = error(part, run.trajectory)
             row["online m"] = error(drive, online(run))
             yield row | cost(run)
 
