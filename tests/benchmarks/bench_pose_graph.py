@@ -1,8 +1,7 @@
-"""Hold the optimiser of pose graphs against GTSAM, and against false closures.
+"""Compare the optimiser of pose graphs with GTSAM, and with itself under false closures.
 
     python -m tests.benchmarks.bench_pose_graph --part clean
     python -m tests.benchmarks.bench_pose_graph --part false --seeds 5
-    python -m tests.benchmarks.bench_pose_graph --part online
 
 ``clean``: chi-square at the end. GTSAM 4.3 takes the logarithm of an error where g2o takes its
 coordinates, so its own factors have another least; the best known is therefore the least that its
@@ -15,11 +14,7 @@ where that fails, by QR. Its graph is built before the clock starts.
 ``false``: closures between random poses are added, 10 % and 30 % of the true ones, with the motion
 and information of another closure (shuffled) or with a random motion. How far the trajectory is off
 the clean one is the root mean square distance after the best rigid motion, as a share of the
-diagonal of the clean one's box; chi-square is that of the true edges against the clean one's.
-
-``online``: the same graphs pose by pose, as a SLAM meets them: poses are put along the odometry,
-and every 20 of them, if there are new closures, the graph is solved from where it is and with the
-last verdict (``optimize(start="given", weights=...)``). CPU time of one such solution.
+diagonal of the clean one's box; the worst run counts. No pose is given.
 """
 
 from __future__ import annotations
@@ -31,11 +26,10 @@ from functools import partial
 from typing import TypeVar
 
 import numpy as np
-import numpy.typing as npt
 from rich.console import Console
 from rich.table import Table
 
-from slamfusion.geometry import F64, compose_poses, invert_poses
+from slamfusion.geometry import F64
 from slamfusion.pose_graph.g2o import read_g2o
 from slamfusion.pose_graph.graph import PoseGraph
 from slamfusion.pose_graph.least_squares import (
@@ -55,15 +49,13 @@ T = TypeVar("T")
 NAMES = ("INTEL_1228", "intel", "MIT", "CSAIL", "M3500", "ais2klinik", "city10000")
 # Where all closures at once still finish, true and false.
 SMALL = ("INTEL_1228", "intel", "MIT", "CSAIL")
-PARTS = ("clean", "false", "online")
+PARTS = ("clean", "false")
 METHODS: tuple[Robust, ...] = ("none", "dcs", "gnc", "consensus")
 KINDS = ("shuffled", "random")
-WITHIN = 0.05
+SHARES = (0.1, 0.3)
 QR = "MULTIFRONTAL_QR"
 # QR and custom factors take minutes on larger graphs.
 SLOW_POSES = 5000
-# Poses between two solutions of a graph that grows.
-SOLVE_POSES = 20
 
 
 def timed(work: Callable[[], T], repetitions: int) -> tuple[float, T]:
@@ -80,41 +72,39 @@ def load(name: str) -> PoseGraph:
     return read_g2o(POSE_GRAPHS / f"{name}.g2o.gz").graph
 
 
-def in_all(graph: PoseGraph) -> tuple[F64, int]:
-    """Return our solution and the steps it took, nothing known beforehand."""
+def in_all(graph: PoseGraph) -> F64:
+    """Return our solution, nothing known beforehand."""
     measured = Measurements(graph.edges, graph.motions, graph.information)
     equations = NormalEquations(measured, len(graph), (0,))
-    found = at_once(descend)(equations, rotations_first(equations, graph.poses))
-    return found.poses, found.iterations
+    return at_once(descend)(equations, rotations_first(equations, graph.poses)).poses
 
 
 def clean(names: tuple[str, ...], repetitions: int) -> Table:
     """Return chi-square and time against GTSAM."""
     columns = (
-        "graph, poses, edges, chi2 before, ours, steps, best known, off %, by GTSAM's own error, "
+        "graph, poses, edges, chi2 before, ours, best known, off %, "
         "all ms, descent ms, GTSAM ms, all / GTSAM, descent / GTSAM"
     )
     table = Table(*columns.split(", "), title="chi-square, and CPU time against GTSAM")
     for name in names:
         graph = load(name)
-        all_s, (poses, steps) = timed(partial(in_all, graph), repetitions)
+        all_s, poses = timed(partial(in_all, graph), repetitions)
         ours = float(chi2_of(graph, poses).sum())
         row = [name, str(len(graph)), str(len(graph.edges))]
-        row += [f"{chi2_of(graph).sum():.6g}", f"{ours:.6g}", str(steps)]
+        row += [f"{chi2_of(graph).sum():.6g}", f"{ours:.6g}"]
         measured = Measurements(graph.edges, graph.motions, graph.information)
         equations = NormalEquations(measured, len(graph), (0,))
         start = rotations_first(equations, graph.poses)
-        descent_s, _ = timed(partial(descend, equations, start), repetitions)
+        descent_s, _ = timed(partial(at_once(descend), equations, start), repetitions)
         times = [f"{1e3 * all_s:.0f}", f"{1e3 * descent_s:.0f}"]
         if has_gtsam():
             theirs_s, theirs, solver = rival(GtsamGraph(graph), start, repetitions)
             known = best_known(graph, theirs, poses)
             row += [f"{known:.6g}", f"{100.0 * (ours / known - 1.0):+.4f}"]
-            row.append(f"{chi2_of(graph, theirs).sum():.6g}")
             ratios = [f"{all_s / theirs_s:.2f}", f"{descent_s / theirs_s:.2f}"]
             times += [f"{1e3 * theirs_s:.0f}{solver}", *ratios]
         else:
-            row += ["-"] * 3
+            row += ["-"] * 2
             times += ["-"] * 3
         table.add_row(*row, *times)
         progress(row, times)
@@ -143,86 +133,24 @@ def rival(graph: GtsamGraph, start: F64, repetitions: int) -> tuple[float, F64, 
     return by_qr_s, by_qr, " (QR)"
 
 
-TITLES = {"false": "false closures added", "online": "graphs that grow, solved every 20 poses"}
-COLUMNS = "graph, method, added, runs, within 5 %, off % mean, off % worst, true doubted, "
-MORE = {
-    "false": "false accepted, chi2 worst, time s",
-    "online": "false accepted, solutions, median ms, p95 ms, longest ms",
-}
-
-
-def robustness(part: str, names: tuple[str, ...], methods: tuple[Robust, ...], seeds: int) -> Table:
-    """Return how far false closures take the trajectory, of whole graphs or of growing ones."""
-    table = Table(*(COLUMNS + MORE[part]).split(", "), title=TITLES[part])
+def robustness(names: tuple[str, ...], methods: tuple[Robust, ...], seeds: int) -> Table:
+    """Return how far false closures take the trajectory at most, in per cent, by each method."""
+    table = Table("graph", "added", *methods, title="false closures added: off %, worst")
     for name in names:
         graph = load(name)
-        solution = optimize(graph)
-        true_chi2, true = solution.chi2, len(graph.edges)
-        graph = graph.with_poses(solution.poses)
-        for method, share in itertools.product(methods, (0.0, 0.1, 0.3)):
-            runs = [(KINDS[seed % 2], seed) for seed in range(seeds if share else 1)]
-            if part == "false" and share:
-                runs = list(itertools.product(KINDS, range(seeds)))
-            rows, seconds = [], []
-            for kind, seed in runs:
-                false_too = with_false_closures(graph, share, seed, kind)
-                poses, doubted, times = (whole if part == "false" else drive)(false_too, method)
-                wrong = int(doubted[:true].sum()), int((~doubted[true:]).sum())
-                chi2 = float(chi2_of(graph, poses).sum()) / true_chi2
-                rows.append((apart(graph.poses, poses), *wrong, chi2, len(times)))
-                seconds.append(times)
-            off, lost, accepted, chi2s, solutions = np.array(rows).T
-            each = np.concatenate(seconds)
-            row = [name, method, f"{100.0 * share:.0f} %", str(len(rows))]
-            row += [str(int((off <= WITHIN).sum()))]
-            row += [f"{100.0 * off.mean():.3f}", f"{100.0 * off.max():.3f}"]
-            row += [f"{lost.mean():.2f}", f"{accepted.mean():.2f}"]
-            if part == "false":
-                row += [f"{chi2s.max():.4g}", f"{each.mean():.2f}"]
-            else:
-                row += [f"{solutions.mean():.0f}"]
-                row += [f"{1e3 * np.quantile(each, place):.1f}" for place in (0.5, 0.95, 1.0)]
+        graph = graph.with_poses(optimize(graph).poses)
+        for share in SHARES:
+            row = [name, f"{100.0 * share:.0f} %"]
+            for method in methods:
+                off = []
+                for kind, seed in itertools.product(KINDS, range(seeds)):
+                    false_too = with_false_closures(graph, share, seed, kind)
+                    nowhere = false_too.with_poses(np.zeros_like(graph.poses))
+                    off.append(apart(graph.poses, optimize(nowhere, robust=method).poses))
+                row.append(f"{100.0 * max(off):.1f}")
             table.add_row(*row)
             progress(row)
     return table
-
-
-def whole(graph: PoseGraph, method: Robust) -> tuple[F64, npt.NDArray[np.bool_], F64]:
-    """Optimise at once, without any given pose; see ``drive``."""
-    began = time.process_time()
-    found = optimize(graph.with_poses(np.zeros_like(graph.poses)), robust=method)
-    return found.poses, found.is_outlier, np.array([time.process_time() - began])
-
-
-def drive(graph: PoseGraph, method: Robust) -> tuple[F64, npt.NDArray[np.bool_], F64]:
-    """Add a graph's poses one by one and solve now and then.
-
-    Returns:
-        The poses; of each edge whether it is doubted at the end; the CPU times of all solutions.
-    """
-    last = graph.edges.max(axis=1)
-    order = np.argsort(last, kind="stable")
-    arrays = (graph.edges, graph.motions, graph.information, graph.is_closure)
-    edges, motions, information, is_closure = (array[order] for array in arrays)
-    back = invert_poses(motions)
-    poses, weights, times = graph.poses[:1], np.zeros(0), []
-    for pose in range(1, len(graph)):
-        first, beyond = np.searchsorted(last[order], (pose, pose + 1))
-        edge = first + int(np.argmin(is_closure[first:beyond]))
-        is_along = edges[edge, 1] == pose
-        onward = motions[edge] if is_along else back[edge]
-        poses = np.concatenate((poses, compose_poses(poses[edges[edge].min()], onward)[None]))
-        is_due = (pose + 1) % SOLVE_POSES == 0 or pose + 1 == len(graph)
-        if is_due and is_closure[len(weights) : beyond].any():
-            now = slice(beyond)
-            so_far = PoseGraph(poses, edges[now], motions[now], information[now], is_closure[now])
-            began = time.process_time()
-            found = optimize(so_far, robust=method, start="given", weights=weights)
-            times.append(time.process_time() - began)
-            poses, weights = found.poses, found.weights
-    doubted = np.zeros(len(edges), np.bool_)
-    doubted[order[: len(weights)]] = weights < 0.5
-    return poses, doubted, np.array(times)
 
 
 def main() -> None:
@@ -234,12 +162,12 @@ def main() -> None:
     parser.add_argument("--repetitions", type=int, default=5)
     options = parser.parse_args()
     methods = tuple(options.methods)
-    is_slow = options.part == "online" or (options.part == "false" and methods != ("consensus",))
+    is_slow = options.part == "false" and methods != ("consensus",)
     names = tuple(options.graphs or (SMALL if is_slow else NAMES))
     if options.part == "clean":
         table = clean(names, options.repetitions)
     else:
-        table = robustness(options.part, names, methods, options.seeds)
+        table = robustness(names, methods, options.seeds)
     console_for(f"pose-graphs-{options.part}", options.record, width=200).print(table)
 
 
