@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import threading
-import time
-from typing import Any
 
 import numpy as np
 import pytest
@@ -14,10 +12,9 @@ pytest.importorskip("rclpy", reason="rclpy is absent: install the extra ros, or 
 
 import rclpy
 from geometry_msgs.msg import PoseStamped
-from nav_msgs.msg import OccupancyGrid, Odometry
+from nav_msgs.msg import OccupancyGrid
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
-from sensor_msgs.msg import LaserScan
 
 from slamfusion.compute import open_device
 from slamfusion.config import GraphConfig, RunConfig
@@ -30,11 +27,9 @@ from slamfusion.slam.graph.slam import GraphSlam
 from slamfusion.slam.registry import make_producer
 from tests.ros.drives import as_sent, offline, scans
 from tests.ros.live import Observer
+from tests.ros.test_producer_node import Robot
 
 pytestmark = pytest.mark.ros
-
-# A scan is sent again where no pose came of it for so long, seconds.
-AGAIN_S = 1.0
 
 
 def there_and_back(count: int) -> list[LogScan]:
@@ -87,45 +82,15 @@ def test_scans_go_on_while_a_slow_map_is_drawn(
     )
     executor = SingleThreadedExecutor(context=context)
     executor.add_node(node.node)
+    spinning = threading.Thread(target=executor.spin)
+    spinning.start()
     poses = observer.collect(PoseStamped, "graph/pose")
     maps = observer.collect(OccupancyGrid, "graph/map", qos.MAP)
-    odometry = observer.publisher(Odometry, "odom")
-    laser = observer.publisher(LaserScan, "scan")
-
-    def wait(is_done: Any, what: str) -> None:
-        def spun() -> Any:
-            executor.spin_once(timeout_sec=0.01)
-            return is_done()
-
-        observer.wait(spun, what=what)
-
-    def send(item: LogScan) -> float:
-        message = messages.scan_to_message(item.scan, "base_link")
-        odometry.publish(
-            messages.odometry_to_message(item.odometry, "odom", "base_link", message.header.stamp)
-        )
-        laser.publish(message)
-        return time.monotonic()
-
-    def drive(item: LogScan) -> None:
-        """Send a scan, as the player does again where no pose comes of it: each side may still not
-        know of the other."""
-        sent_s = send(item)
-
-        def is_heard() -> bool:
-            nonlocal sent_s
-            if time.monotonic() - sent_s > AGAIN_S:
-                sent_s = send(item)
-            return bool(poses) and abs(messages.stamp_s(poses[-1]) - item.scan.stamp_s) < 1e-6
-
-        wait(is_heard, f"the pose at {item.scan.stamp_s}")
-
+    robot = Robot(observer)
     driven = there_and_back(30)
-    last_s = driven[-1].scan.stamp_s
     try:
-        wait(lambda: odometry.get_subscription_count() and laser.get_subscription_count(), "it")
-        for item in driven:
-            drive(item)
+        robot.wait_for()
+        robot.drive(driven, poses)
         # Every scan was answered, and the first map is still being drawn.
         assert HeldMap.is_drawing.is_set()
         assert not maps
@@ -133,16 +98,17 @@ def test_scans_go_on_while_a_slow_map_is_drawn(
         wanted = offline("graph", as_sent(driven))
 
         def is_same() -> bool:
-            if not maps or abs(messages.stamp_s(maps[-1]) - last_s) > 1e-6:
+            if not maps or abs(messages.stamp_s(maps[-1]) - driven[-1].scan.stamp_s) > 1e-6:
                 return False
             found = messages.grid_from_message(maps[-1], "found")
             return found.origin == wanted.origin and np.array_equal(found.cells, wanted.cells)
 
-        wait(is_same, "the map of all scans")
+        observer.wait(is_same, what="the map of all scans")
         assert (wanted.cells >= 65).sum() > 100
     finally:
         HeldMap.go_on.set()
         node.close()
         executor.shutdown()
+        spinning.join()
         node.node.destroy_node()
         rclpy.shutdown(context=context)
