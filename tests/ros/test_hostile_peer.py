@@ -19,7 +19,6 @@ pytest.importorskip("rclpy", reason="rclpy is absent: install the extra ros, or 
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import OccupancyGrid, Odometry
 from rclpy.serialization import serialize_message
-from sensor_msgs.msg import LaserScan
 
 from slamfusion.geometry import Pose2
 from slamfusion.ros import messages, qos
@@ -28,6 +27,7 @@ from tests.fusion.live.maps import three, touched
 from tests.ros.drives import scans
 from tests.ros.fused import Makers, fused_without_ros, share_equal, start_fusion
 from tests.ros.live import Observer, Process, Processes
+from tests.ros.test_producer_node import Robot
 
 pytestmark = pytest.mark.ros
 
@@ -145,28 +145,21 @@ def test_a_hostile_peer_ends_no_producer(
     """Its scans and odometry stand beside the robot's own; what cannot be used is left out."""
     maps = observer.collect(OccupancyGrid, "tinyslam/map", qos.MAP)
     node = processes.node("tinyslam", map_update_interval_s=0.2)
-    lasers = observer.publisher(LaserScan, "scan")
-    odometry = observer.publisher(Odometry, "odom")
-    drive = scans(300)
-    ahead = iter(drive)
-
-    def send(item: Any) -> None:
-        stamp = messages.to_stamp(item.scan.stamp_s)
-        odometry.publish(messages.odometry_to_message(item.odometry, "odom", "base_link", stamp))
-        lasers.publish(messages.scan_to_message(item.scan, "base_link"))
+    robot = Robot(observer)
+    robot.wait_for()
+    ahead = iter(scans(300))
 
     def drive_on() -> bool:
-        if lasers.get_subscription_count() and odometry.get_subscription_count():
-            send(next(ahead))
+        robot.send(next(ahead))
         return bool(maps)
 
     observer.wait(drive_on, what="a first map", timeout_s=60.0)
     last = next(ahead)
     stamp = messages.to_stamp(last.scan.stamp_s)
     goods: list[tuple[Any, Callable[[int], Any]]] = [
-        (lasers, lambda _: messages.scan_to_message(last.scan, "base_link")),
+        (robot.scans, lambda _: messages.scan_to_message(last.scan, "base_link")),
         (
-            odometry,
+            robot.odometry,
             lambda _: messages.odometry_to_message(last.odometry, "odom", "base_link", stamp),
         ),
     ]
