@@ -14,8 +14,6 @@ pytest.importorskip("rclpy", reason="rclpy is absent: install the extra ros, or 
 
 import rclpy
 from nav_msgs.srv import LoadMap
-from rcl_interfaces.srv import SetParametersAtomically
-from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
 from slamfusion.cli.program import run_program
@@ -31,16 +29,6 @@ from tests.support.documents import check_document
 pytestmark = [pytest.mark.ros, pytest.mark.once]
 
 NODE = "robot1/fusion"
-
-
-def save_as_refuses_what_it_does_not_know(observer: Observer) -> None:
-    for name, value in (("colour", "red"), ("mode", 5), ("free_thresh", "low"), ("mode", "odd")):
-        given = [Parameter(name, value=value).to_parameter_msg()]
-        request = SetParametersAtomically.Request(parameters=given)
-        result = observer.call(SetParametersAtomically, "robot1/save_map_as", request).result
-        assert not result.successful
-        assert result.reason.startswith("not saved: ")
-        assert str(value) in result.reason
 
 
 def a_saved_map_becomes_an_input(observer: Observer, folder: Path) -> None:
@@ -98,7 +86,6 @@ def test_a_running_fusion_answers(
     assert (tmp_path / "other.bmp").exists()
     refused = live("save", "--path", "/nowhere/lab", code=1)
     assert "not saved: path '/nowhere/lab' leads out of" in refused["message"]
-    save_as_refuses_what_it_does_not_know(observer)
     a_saved_map_becomes_an_input(observer, tmp_path)
     assert live("set", "max_publish_rate_hz", "2.5")["success"]
     refused = live("set", "max_publish_rate_hz", "-1.0", code=1)
