@@ -1,6 +1,6 @@
 """Measure a SLAM on recorded drives, simulated courses and corrected logs: accuracy and time.
 
-    python -m tests.benchmarks.bench_slam graph --part recordings --seeds 5 --maps out/bench_slam
+    python -m tests.benchmarks.bench_slam graph --part recordings --seeds 5
 
 recordings: mean translation over all relations [K09] of the final path and of the path as first
 reported, of the raw odometry, and of the best trajectory in the folder (the floor). That of Intel
@@ -11,13 +11,12 @@ over 0.5 m or 0.1 rad apart is false.
 logs: gmapping-corrected logs of more buildings, driven by their reconstructed odometry. Distances
 are to gmapping's answer, which is no truth.
 
-With --maps the first seed's maps are written as PNG. --config takes a YAML file of settings, as the
-command line does, e.g. gmapping's published profile; its name is then that of the recorded table.
+--config takes a YAML file of settings, as the command line does, e.g. gmapping's published profile;
+its name is then part of that of the recorded table.
 """
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -28,7 +27,7 @@ import pandas as pd
 from rich.table import Table
 
 from slamfusion.compute import ComputeDevice
-from slamfusion.config import DeviceConfig, NormalizeConfig, RunConfig
+from slamfusion.config import NormalizeConfig, RunConfig
 from slamfusion.config.run import LidarName
 from slamfusion.evaluation.doubled_walls import doubled_wall_share
 from slamfusion.evaluation.map_error import compare_to_truth
@@ -37,8 +36,7 @@ from slamfusion.evaluation.relations import Relations
 from slamfusion.evaluation.trajectory_error import trajectory_errors
 from slamfusion.experiments.tinyslam import RELATIONS, Drive, read_drive
 from slamfusion.geometry import F64, compose_poses, invert_poses, row_of, wrap_angles
-from slamfusion.grid import OccupancyGrid
-from slamfusion.io import LogScan, open_log, read_trajectory, save_map
+from slamfusion.io import LogScan, open_log, read_trajectory
 from slamfusion.io.log import odometry_path
 from slamfusion.sim import named_course, simulate, with_overrides
 from slamfusion.slam.common.mapper import Closure
@@ -80,7 +78,6 @@ class Bench:
         config: settings of the producer, and of the measures.
         seeds: of the runs, and of the simulated courses.
         only: names of drives, courses or logs; empty: all of them.
-        maps: folder for the first seed's maps; None: none are written.
     """
 
     producer: str
@@ -88,23 +85,15 @@ class Bench:
     device: ComputeDevice
     seeds: range
     only: Sequence[str]
-    maps: Path | None
 
     def chosen(self, names: Iterable[str]) -> list[str]:
         """Return the names that are asked for."""
         return [name for name in names if not self.only or name in self.only]
 
-    def run(self, name: str, scans: Iterable[LogScan], seed: int, **more: Any) -> ProducerRun:
-        """Run a fresh producer, and write its map."""
+    def run(self, scans: Iterable[LogScan], seed: int, **more: Any) -> ProducerRun:
+        """Run a fresh producer."""
         mapper = make_producer(self.producer, replace(self.config, seed=seed), self.device)
-        run = run_producer(mapper, scans, **more)
-        self.keep_map(run.grid, seed, name)
-        return run
-
-    def keep_map(self, grid: OccupancyGrid, seed: int, name: str) -> None:
-        """Write a map of the first seed where maps are wanted."""
-        if self.maps is not None and seed == self.seeds[0]:
-            save_map(grid, self.maps / name.replace(", ", "-"), image_format="png")
+        return run_producer(mapper, scans, **more)
 
     def ate(self, path: Trajectory | None, truth: Trajectory) -> float:
         """Return the absolute trajectory error, rms in metres; NaN without a path."""
@@ -174,7 +163,7 @@ def recordings(bench: Bench) -> Iterator[Row]:
         part = within_floor(drive, best)
         row["floor m"] = error(part, at_scans(drive, best, bench.config))
         for seed in bench.seeds:
-            run = bench.run(drive.name, drive.scans, seed)
+            run = bench.run(drive.scans, seed)
             row["error m"] = error(drive, run.trajectory)
             row["on the floor's relations m"] = error(part, run.trajectory)
             row["online m"] = error(drive, online(run))
@@ -230,8 +219,7 @@ def courses(bench: Bench) -> Iterator[Row]:
                 course = with_overrides(course, replace(settings, lidar=cast("LidarName", lidar)))
             recording = simulate(course, bench.device)
             truth, grid = recording.truth, recording.world.grid
-            bench.keep_map(grid, seed, f"{name}-truth")
-            run = bench.run(name, recording.scans, seed)
+            run = bench.run(recording.scans, seed)
             errors = trajectory_errors(run.trajectory, truth, bench.config.trajectory)
             row: Row = {"course": name, "path m": truth.path_length_m()}
             row["odometry m"] = bench.ate(recording.odometry(), truth)
@@ -268,7 +256,7 @@ def logs(bench: Bench) -> Iterator[Row]:
         for seed in bench.seeds:
             log = open_log(found[name], bench.config.log, odometry)
             items = log if odometry else (replace(item, odometry=None) for item in log)
-            run = bench.run(name, items, seed, log=log)
+            run = bench.run(items, seed, log=log)
             for sentence in (*run.health.skips.sentences("scan"), *run.warnings):
                 print(f"{name}: {sentence}")
             used = [item for item in loops(run.closures) if item.weight >= USED_FROM]
@@ -337,31 +325,20 @@ def main() -> None:
     parser.add_argument("--part", choices=PARTS, action="append", help="default: all")
     parser.add_argument("--only", action="append", metavar="NAME", help="drive, course or log")
     parser.add_argument("--seeds", type=int, help="default: 5; logs 1")
-    parser.add_argument("--maps", type=Path, metavar="DIR")
     parser.add_argument("--config", type=Path, metavar="FILE")
-    parser.add_argument("--device")
     options = parser.parse_args()
     config = load_config(options.config) if options.config else RunConfig()
-    if options.device:
-        config = replace(config, device=DeviceConfig(options.device))
     stem = options.config.stem if options.config else ""
     device = open_producer_device(options.producer, config)
     for name in options.part or PARTS:
         part, count = PARTS[name]
         bench = Bench(
-            options.producer,
-            config,
-            device,
-            range(options.seeds or count),
-            options.only or (),
-            None if options.maps is None else options.maps / name,
+            options.producer, config, device, range(options.seeds or count), options.only or ()
         )
-        began_s = time.perf_counter()
         title = f"{name}; {options.producer}, {len(bench.seeds)} seeds, {device.name}"
         kept_as = "-".join((options.producer, name, *filter(None, [stem])))
         console = console_for(kept_as, options.record, width=220)
         console.print(table_of(part(bench), title))
-        console.print(f"{name}: {time.perf_counter() - began_s:.0f} s in all\n", highlight=False)
 
 
 if __name__ == "__main__":
