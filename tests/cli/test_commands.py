@@ -18,31 +18,8 @@ from tests.cli.command import MAPS, TRUTH, json_of, run, run_here, tree
 pytestmark = pytest.mark.usefixtures("remembered_searches")
 
 
-@pytest.fixture(scope="module")
-def fused(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
-    """The folder and the JSON document of one fusion of the sample, with truth and report."""
-    folder = tmp_path_factory.mktemp("fused")
-    out, report = folder / "out", folder / "report"
-    done = run("fuse", *MAPS, "-o", out, "--truth", TRUTH, "--report", report, "--json")
-    assert done.returncode == 0, done.stderr
-    assert done.stderr == ""
-    return folder, json_of(done)
-
-
 def pose_of(record: dict[str, Any]) -> Pose2:
     return Pose2(record["dx_m"], record["dy_m"], record["yaw_rad"])
-
-
-def test_fused_map_is_as_good_as_its_best_inputs(fused: tuple[Path, dict[str, Any]]) -> None:
-    _, document = fused
-    errors = {item["name"]: item for item in document["evaluations"]}
-    assert set(errors) == {"map_a", "map_b", "map_c", "fused"}
-    assert all(item["aligned"] for item in errors.values())
-    own = errors.pop("fused")
-    best = max(item["wall_f1"] for item in errors.values())
-    good = [item["error"] for item in errors.values() if item["wall_f1"] >= best - 0.02]
-    assert own["wall_f1"] >= best - 0.01
-    assert own["error"] <= 1.1 * sum(good) / len(good)
 
 
 @pytest.fixture(scope="module")
