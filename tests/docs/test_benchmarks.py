@@ -5,7 +5,9 @@ from __future__ import annotations
 import ast
 import io
 import re
+import shlex
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -41,6 +43,16 @@ def test_every_file_is_read_and_stands_on_a_page():
     for name in benchmark_tables():
         assert f"<!-- {name}: written by" in text, name
     assert all(item.rows for item in measurements().values())
+
+
+@pytest.mark.parametrize("name", measurements())
+def test_the_command_of_a_table_is_there(name: str):
+    program, *words = shlex.split(measurements()[name].command)
+    if program == "python":
+        assert words[0] == "-m"
+        assert find_spec(words[1]) is not None
+    else:
+        assert program == "slamfusion"
 
 
 def test_every_measured_table_is_made_of_a_measurement():
