@@ -92,12 +92,12 @@ ADDED_SCANS = 5
 # A stamp that goes back by more, seconds, is that of a new drive.
 BACK_S = 1.0
 # After each solution: a rest of this many times its duration, and at least this number of seconds.
-# Together at most 12 % of a core: in between the pose goes by scans that match what was solved, so
+# Together at most 10 % of a core: in between the pose goes by scans that match what was solved, so
 # new places need new solutions.
 RESTS: Mapping[Depth, tuple[float, float]] = {
     "judged": (29.0, 2.0),
-    "window": (18.0, 2.0),
-    "whole": (29.0, 10.0),
+    "window": (24.0, 2.0),
+    "whole": (39.0, 10.0),
 }
 # Seconds that solutions may take before they rest: the first ones of a drive are short and urgent.
 AHEAD_S = 1.0
