@@ -88,7 +88,7 @@ STEP_M, STEP_RAD = 0.01, 0.005
 # it, share of the way, and of the turn, radians per metre.
 LEAST_SEEN, DRIFT = 3 * LEAST_HITS, 0.1
 # The last located scans are added to the walls each time this number of scans was located.
-ADDED_SCANS = 5
+ADDED_SCANS = 10
 # A stamp that goes back by more, seconds, is that of a new drive.
 BACK_S = 1.0
 # After each solution: a rest of this many times its duration, and at least this number of seconds.
