@@ -15,7 +15,7 @@ from slamfusion.errors import GridError
 from slamfusion.geometry import Pose2, fit_motion
 from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, CellBox, OccupancyGrid, trinary_cells
 
-# Side of the blocks in which walls gain their cell on the same side.
+# Side of the blocks in which walls gain or lose their cell on the same side.
 THICKNESS_BLOCK = 12
 # Rows rendered at a time: few enough to stay in the cache.
 BAND_ROWS = 64
@@ -38,7 +38,8 @@ class Degradation:
             ``resample``.
         crop_share: share of the known cells that is kept, 0..1; a straight cut in a random
             direction takes the rest.
-        wall_change_cells: cells by which walls get thicker.
+        wall_change_cells: cells by which walls get thicker (positive) or thinner (negative);
+            a wall of one cell never gets thinner.
         flip_share: share of the known cells that turn from free to occupied or back, 0..1.
         speckle_share: share of the free cells that become unknown, 0..1.
         margin_share: share of the map's area that is added as an unknown margin, 0 up to 0.95;
@@ -89,7 +90,7 @@ def degrade_map(
         origin = pose.inverse().compose(truth.origin)
         grid = OccupancyGrid(truth.cells, truth.resolution, origin, truth.name)
 
-    cells = _thicken_walls(grid.cells, degradation.wall_change_cells).copy()
+    cells = _change_walls(grid.cells, degradation.wall_change_cells).copy()
     flipped = _some(cells != UNKNOWN, rng, degradation.flip_share)
     cells[flipped] = np.where(cells[flipped] == OCCUPIED, FREE, OCCUPIED)
     cells[_some(cells == FREE, rng, degradation.speckle_share)] = UNKNOWN
@@ -245,21 +246,49 @@ def _rigid_part(truth: OccupancyGrid, warp: _Warp) -> Pose2:
     return truth.origin.compose(own).compose(truth.origin.inverse())
 
 
-def _thicken_walls(cells: npt.NDArray[np.int8], change: int) -> npt.NDArray[np.int8]:
-    """Make walls thicker by whole cells, on alternating sides.
+def _change_walls(cells: npt.NDArray[np.int8], change: int) -> npt.NDArray[np.int8]:
+    """Make walls thicker or thinner by whole cells, on alternating sides.
 
-    One cell more on the same side everywhere would move all walls by half a cell and with them the
-    true transform; the side changes from block to block instead.
+    One cell more or less on the same side everywhere would move all walls by half a cell and
+    with them the true transform; the side changes from block to block instead.
     """
     rows, cols = np.indices(cells.shape)
     block = (rows // THICKNESS_BLOCK + cols // THICKNESS_BLOCK) % 2 == 0
-    square = np.ones((2, 2), dtype=bool)
-    for _ in range(change):
+    for _ in range(abs(change)):
         walls = cells == OCCUPIED
-        lower = scipy.ndimage.binary_dilation(walls, square, origin=0)
-        upper = scipy.ndimage.binary_dilation(walls, square, origin=-1)
-        cells = np.where(np.where(block, lower, upper), np.int8(OCCUPIED), cells)
+        if change > 0:
+            square = np.ones((2, 2), dtype=bool)
+            lower = scipy.ndimage.binary_dilation(walls, square, origin=0)
+            upper = scipy.ndimage.binary_dilation(walls, square, origin=-1)
+            cells = np.where(np.where(block, lower, upper), np.int8(OCCUPIED), cells)
+        else:
+            left = walls & ~(block & _peel(walls))
+            left &= ~(~block & _peel(left[::-1, ::-1])[::-1, ::-1])
+            beside_free = scipy.ndimage.binary_dilation(cells == FREE)
+            bared = np.where(beside_free, np.int8(FREE), np.int8(UNKNOWN))
+            cells = np.where(walls & ~left, bared, cells)
     return cells
+
+
+def _peel(walls: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+    """Return the wall cells of one side that may go without opening a hole.
+
+    Source: Zhang and Suen, A fast parallel algorithm for thinning digital patterns, 1984, the
+    first sub-iteration; its neighbours p2 to p9 run clockwise from the row above.
+    """
+    padded = np.pad(walls, 1).astype(np.int8)
+    height, width = walls.shape
+    steps = ((0, 1), (0, 2), (1, 2), (2, 2), (2, 1), (2, 0), (1, 0), (0, 0))
+    ring = [padded[row : row + height, col : col + width] for row, col in steps]
+    count = np.sum(ring, axis=0)
+    rises = np.sum(
+        [(here == 0) & (after == 1) for here, after in zip(ring, ring[1:] + ring[:1], strict=True)],
+        axis=0,
+    )
+    p2, p4, p6, p8 = ring[0], ring[2], ring[4], ring[6]
+    edge = (p2 * p4 * p6 == 0) & (p4 * p6 * p8 == 0)
+    peeled: npt.NDArray[np.bool_] = walls & (count >= 2) & (count <= 6) & (rises == 1) & edge
+    return peeled
 
 
 def _some(where: npt.NDArray[np.bool_], rng: np.random.Generator, share: float) -> IndexArray:
