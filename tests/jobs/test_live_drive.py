@@ -198,8 +198,8 @@ def test_the_last_seconds_are_solved_between_solutions_of_the_whole_drive() -> N
     assert 61.0 < last_s < 66.0
     waits_s = np.diff([now_s for now_s, _ in seen])
     assert waits_s.max() < 7.0
-    # Three seconds of 120 for the whole drive, half a second of 12.5 for the window, a tenth of 3 to
-    # judge the inputs, and one second ahead of each.
+    # Three seconds of 120 for the whole drive, half a second of 12.5 for the window, a tenth of 3
+    # to judge the inputs, and one second ahead of each.
     assert depths.count("whole") == pytest.approx(60.0 / 120.0 + 1.0 / 3.0, abs=1.0)
     assert depths.count("window") == pytest.approx(54.0 / 12.5 + 1.0 / 0.5, abs=3.0)
     assert depths.count("judged") == pytest.approx(60.0 / 3.0 + 1.0 / 0.1, abs=6.0)
