@@ -10,7 +10,6 @@ command.
 
 from __future__ import annotations
 
-import argparse
 import json
 import math
 import os
@@ -31,7 +30,7 @@ from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import save_map
 from tests.benchmarks.bench_many import RIGHT_M
-from tests.benchmarks.record import add_record_option, console_for
+from tests.benchmarks.record import bench_parser, console_for
 from tests.support import sites
 from tests.support.sites import ManyMaps
 
@@ -157,14 +156,13 @@ def _high_water_mib(pid: int) -> float:
 
 def main() -> None:
     """Measure and print."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
+    parser = bench_parser(__doc__)
     parser.add_argument("what", choices=("site", "draw"))
     parser.add_argument("--maps", type=int, default=40)
     parser.add_argument("--cells", type=int, default=700, help="on a side of a map")
     parser.add_argument("--parts", type=int, default=4, help="of a drawn cell, on its side")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--folder", type=Path, default=Path("out/site"))
-    add_record_option(parser)
     asked, more = parser.parse_known_args()
     if asked.what == "draw":
         draw_maps(asked.folder, asked.maps, asked.cells, asked.parts, asked.seed)

@@ -253,16 +253,15 @@ def drive(log: Path, options: argparse.Namespace) -> Table:
 
 def main() -> None:
     """Print a table with a row for each hour and node."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    # Here, as above.
+    from tests.benchmarks.record import bench_parser, console_for  # noqa: PLC0415
+
+    parser = bench_parser(__doc__)
     parser.add_argument("log", type=Path)
     parser.add_argument("--hours", type=float, default=10.0)
     parser.add_argument("--row", type=float, default=60.0, help="minutes of the log in a row")
     parser.add_argument("--slam", nargs="+", default=BUILT_IN, choices=BUILT_IN)
     parser.add_argument("--alone", action="store_true", help="without the fusion")
-    # Here, as above.
-    from tests.benchmarks.record import add_record_option, console_for  # noqa: PLC0415
-
-    add_record_option(parser)
     options = parser.parse_args()
     os.environ.update(pocl_alone())
     use_one_arena()

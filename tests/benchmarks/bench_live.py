@@ -12,7 +12,6 @@ a new map).
 
 from __future__ import annotations
 
-import argparse
 import math
 import sys
 import time
@@ -32,7 +31,7 @@ from slamfusion.geometry import Pose2
 from slamfusion.grid import UNKNOWN, OccupancyGrid
 from slamfusion.sim import draw_building
 from tests.benchmarks.live_drives import CASES, drive_table
-from tests.benchmarks.record import add_record_option, console_for
+from tests.benchmarks.record import bench_parser, console_for
 from tests.support.degrade import Degradation, degrade_map
 
 RESOLUTION = 0.05
@@ -183,13 +182,12 @@ def run(side: int, rounds: int, table: Table) -> None:
 
 def main() -> None:
     """Print a table of all sides."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = bench_parser(__doc__)
     parser.add_argument("sides", type=int, nargs="*", default=[800, 4000], help="in cells")
     parser.add_argument("--rounds", type=int, help="default: 20, of 2000 cells and more 6")
     parser.add_argument("--drive", nargs="+", default=[], metavar="COURSE|LOG:RELATIONS")
     parser.add_argument("--case", nargs="+", type=int, default=range(len(CASES)), help="of CASES")
     parser.add_argument("--keep", type=Path, help="a folder that keeps what producers told")
-    add_record_option(parser)
     options = parser.parse_args()
     if options.drive:
         shown = drive_table(options.drive, options.keep, options.case, open_device())

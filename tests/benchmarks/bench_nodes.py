@@ -18,7 +18,6 @@ The nodes load PoCL alone: the tests' OpenCL simulator, which no user has, takes
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
 import os
 import sys
@@ -46,7 +45,7 @@ from slamfusion.sim.simulate import Recording, simulate
 from slamfusion.slam.registry import make_producer
 from slamfusion.trajectory import Trajectory
 from tests.benchmarks.bench_hours import pocl_alone
-from tests.benchmarks.record import add_record_option, console_for
+from tests.benchmarks.record import bench_parser, console_for
 from tests.ros.drives import as_sent
 from tests.ros.live import Observer, Process, Processes, free_domain, ros_environment, values
 
@@ -240,10 +239,9 @@ def table_of(watches: dict[str, Watch], online: dict[str, str], alone: dict[str,
 
 def main() -> None:
     """Record, play, feed the same offline, and print."""
-    parser = argparse.ArgumentParser(description="The nodes at rate 1 beside the offline run.")
+    parser = bench_parser(__doc__)
     parser.add_argument("--minutes", type=float, default=10.0)
     parser.add_argument("--log", type=Path, help="a recorded one instead; without errors")
-    add_record_option(parser)
     options = parser.parse_args()
     minutes = options.minutes
     if options.log is not None:

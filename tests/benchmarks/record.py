@@ -56,8 +56,11 @@ class RecordingConsole(Console):
                 super().print(f"kept as {path}", highlight=False, soft_wrap=True)
 
 
-def add_record_option(parser: argparse.ArgumentParser) -> None:
-    """Add ``--record``."""
+def bench_parser(text: str | None) -> argparse.ArgumentParser:
+    """Return a parser with ``--record``, whose help shows a text as it is written."""
+    parser = argparse.ArgumentParser(
+        description=text, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument(
         "--record",
         nargs="?",
@@ -66,14 +69,6 @@ def add_record_option(parser: argparse.ArgumentParser) -> None:
         metavar="DIR",
         help="keep the tables as JSON; default folder: docs/benchmarks/data",
     )
-
-
-def bench_parser(text: str | None) -> argparse.ArgumentParser:
-    """Return a parser with ``--record``, whose help begins with a text as it is written."""
-    parser = argparse.ArgumentParser(
-        description=text, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    add_record_option(parser)
     return parser
 
 
