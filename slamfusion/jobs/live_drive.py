@@ -497,9 +497,10 @@ class LiveDrive:
         if solution is None:
             return None
         path = solution.path
-        rest = [(one.stamp_s, row) for one, row in located if one.stamp_s > path.stamps_s[-1]]
-        stamps_s = np.array([*path.stamps_s, *(stamp_s for stamp_s, _ in rest)])
-        longer = Trajectory(stamps_s, np.array([*path.poses, *(row for _, row in rest)]), FUSED)
+        later = [(one.stamp_s, *row) for one, row in located if one.stamp_s > path.stamps_s[-1]]
+        rows = np.reshape(later, (-1, 4))
+        stamps_s = np.concatenate((path.stamps_s, rows[:, 0]))
+        longer = Trajectory(stamps_s, np.concatenate((path.poses, rows[:, 1:])), FUSED)
         evidence = score_paths(scans, {**paths, FUSED: longer}, self._device)
         self._judgement = judgement = Judgement.of(evidence)
         return replace(

@@ -237,8 +237,6 @@ class FusedFrames:
         """Send changes of a new fusion and frames of voters without poses; report problems."""
         self._read()
         sources = self._node.inputs.sources.values()
-        for source in sources:
-            self.child_frame(source)  # claimed in the order of the inputs
         if self._sent_state.inputs is not self._state.inputs:
             self._sent_state = self._state
             for source in sources:
@@ -367,7 +365,10 @@ class FusedFrames:
         self._newest_s = stamp_s if self._newest_s is None else max(self._newest_s, stamp_s)
 
     def _send_frames(self, stamp: Any) -> None:
-        """Send the voters' map frames at a stamp, each value once."""
+        """Send the voters' map frames at a stamp, each value once.
+
+        Child frames are claimed in the order of the inputs.
+        """
         poses = []
         for source in self._node.inputs.sources.values():
             transform, frame = self._state.transform(source.name), self.child_frame(source)

@@ -157,7 +157,7 @@ def _print_counts(results: list[Result], title: str, console: Console) -> None:
         console.print(table)
 
 
-def print_believed(results: list[Result], console: Console) -> None:
+def print_accepted(results: list[Result], console: Console) -> None:
     """Print how many of the pairs without a right answer are accepted, and each wrong one."""
     table = Table("pairs of", "accepted", "of", title="nothing here is right")
     for what in NEGATIVES:
@@ -208,7 +208,7 @@ def main() -> None:
                 print(json.dumps(plain(result), allow_nan=False), file=file, flush=True)
     results.sort(key=lambda result: result["name"])
     print_found(results, console)
-    print_believed(results, console)
+    print_accepted(results, console)
     for what, count in left_out.items():
         console.print(f"{what}: {count} pairs with too few walls in common were left out")
 

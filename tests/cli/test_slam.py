@@ -88,7 +88,7 @@ def test_scans_that_see_nothing_make_no_map_and_no_file(tmp_path: Path) -> None:
 def test_a_map_that_is_made_in_parts_is_that_of_one_run(
     tmp_path: Path, first: int, known: int
 ) -> None:
-    """The second part is of the same log, or of one that begins where the state ends."""
+    """The second part is of the same log, or of one that starts where the state ends."""
     logs = [write_log(tmp_path / f"{n}.log", room_drive(16)[n:]) for n in (0, first)]
     settings = ("--device", "numpy", "--particles", "3", "--linearUpdate", "0.2", "--seed", "4")
     slam, state = ("slam", "gmapping", *settings), tmp_path / "half.state"

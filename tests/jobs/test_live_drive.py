@@ -117,7 +117,7 @@ def test_bent_inputs_are_contradicted_and_the_path_is_right(device: ComputeDevic
     assert all("since stamp" in why for why in found.evidence.doubts.values())
 
 
-def test_an_input_that_bends_slowly_is_contradicted_by_the_whole_drive_until_judged_again(
+def test_an_input_that_bends_slowly_stays_contradicted_in_the_next_window(
     device: ComputeDevice,
 ) -> None:
     robot = Robot(device, names="ab")

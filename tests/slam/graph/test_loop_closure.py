@@ -35,7 +35,7 @@ def told(hypotheses: Relocalization, correction: Pose2, nodes: range, step_m: fl
         hypotheses.add(hit(node, correction, step_m), HERE)
 
 
-def test_a_hypothesis_is_believed_after_enough_hits_over_a_distance():
+def test_a_hypothesis_is_accepted_after_enough_hits_over_a_distance():
     hypotheses = Relocalization()
     for node in range(CONFIRMED_NODES - 1):
         hypotheses.add(hit(node, TRUE), HERE)
@@ -59,7 +59,7 @@ def test_a_robot_that_hardly_drives_is_not_found():
     assert hypotheses.winner() is None
 
 
-def test_of_two_places_that_look_alike_none_is_believed_until_one_fails():
+def test_of_two_places_that_look_alike_none_is_accepted_until_one_fails():
     hypotheses = Relocalization()
     for node in range(4 * CONFIRMED_NODES):
         hypotheses.add(hit(node, TRUE), HERE)
@@ -93,7 +93,7 @@ def test_a_big_step_waits_for_one_that_says_the_same():
 
 
 def answers(ones: list[tuple[int, Pose2]]) -> list[int]:
-    """Return how many closures of a lost robot were believed, after each of them."""
+    """Return how many closures of a lost robot were accepted, after each of them."""
     pending: list[PendingClosure] = []
     return [
         len(confirmed_by_others(pending, hit(number, correction, how="odometry"), HERE))
