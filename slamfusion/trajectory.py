@@ -96,7 +96,15 @@ class Trajectory:
             return self
         older = np.linspace(0, count - newest - 1, most - newest).round().astype(np.int64)
         kept = np.concatenate((older, np.arange(count - newest, count)))
-        return replace(self, stamps_s=self.stamps_s[kept], poses=self.poses[kept])
+        return self.chosen(kept)
+
+    def chosen(self, which: B8 | I64) -> Trajectory:
+        """Return the same path with some of its poses, by (N,) bool or by indices."""
+        return replace(self, stamps_s=self.stamps_s[which], poses=self.poses[which])
+
+    def between(self, after_s: float, until_s: float) -> Trajectory:
+        """Return the same path with the poses after one time and until another, seconds."""
+        return self.chosen((self.stamps_s > after_s) & (self.stamps_s <= until_s))
 
     def moved(self, transform: Pose2) -> Trajectory:
         """Return the same path in another frame; ``transform`` maps points into it, metres."""

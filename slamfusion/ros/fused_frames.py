@@ -20,7 +20,7 @@ from slamfusion.fusion.live.session import FusionState
 from slamfusion.geometry import Pose2
 from slamfusion.io import LogScan
 from slamfusion.io.transforms import TransformError
-from slamfusion.jobs.live_drive import DriveSolution, LiveDrive, Pace
+from slamfusion.jobs.live_drive import DriveLocator, DriveMemory, DriveSolution, DriveSolver, Pace
 from slamfusion.ros import messages, qos
 from slamfusion.ros.base import Level, Worker
 from slamfusion.ros.frames import TransformOutput, TransformStore
@@ -56,7 +56,8 @@ class DriveInput:
     ``on_solution`` is called with each solution, in the solver's thread.
 
     Attributes:
-        live: the drive so far; takes the poses of the inputs.
+        memory: of the drive so far; takes the poses of the inputs.
+        locator: has the last solution, and says where the robot is.
     """
 
     def __init__(
@@ -65,12 +66,14 @@ class DriveInput:
         settings = node.settings
         self._node, self._on_solution = node, on_solution
         self._deskewer = Deskewer(LogConfig(deskew=settings.deskew, sweep_s=settings.sweep_s))
-        self.live = LiveDrive(node.open_device(device))
+        self.memory = DriveMemory()
+        self.locator = DriveLocator(self.memory)
+        self._drive = DriveSolver(self.memory, self.locator, node.open_device(device))
         self._count, self._pace = 0, Pace()
         self._path_topic = node.node.create_publisher(Path, PATH_TOPIC, qos.MAP)
         self._reader: Worker[ArrivedScan] = Worker(self._read, SCAN_QUEUE, node.failed, "scans")
         self._solver: Worker[None] = Worker(self._solve, 1, node.failed, "drive")
-        self.scans = ScanInput(node, settings, self._reader.put, self.live.forget)
+        self.scans = ScanInput(node, settings, self._reader.put, self.memory.forget)
 
     # --- in the executor's thread --------------------------------------------------------------
 
@@ -88,7 +91,7 @@ class DriveInput:
             text = f"the path of {name!r} is left out: {error}"
             self._node.diagnostics.note(f"path {name}", text)
             return
-        self.live.set_path(name, path)
+        self.memory.set_path(name, path)
 
     # --- in threads of their own ---------------------------------------------------------------
 
@@ -100,7 +103,7 @@ class DriveInput:
         within, odometry = self._deskewer.follow(
             scan, lambda times_s: self.scans.odometry_at(arrived, times_s, is_first=False)
         )
-        self.live.add_scan(LogScan(self._deskewer.moved(scan, within), odometry, 1))
+        self.memory.add_scan(LogScan(self._deskewer.moved(scan, within), odometry, 1))
         self._count += 1
         self._solver.put(None)
 
@@ -111,7 +114,7 @@ class DriveInput:
             return
         state, settings = self._node.session.snapshot, self._node.settings
         transforms = {name: state.transform(name) for name in state.inputs}
-        solution = self.live.solve(
+        solution = self._drive.solve(
             depth,
             lattice=state.lattice,
             transforms={name: place for name, place in transforms.items() if place is not None},
@@ -119,7 +122,7 @@ class DriveInput:
         )
         self._pace.done(depth, began_s, time.monotonic())
         is_lost = (
-            solution is None and depth in {"whole", "final"} and self.live.solution is not None
+            solution is None and depth in {"whole", "final"} and self.locator.solution is not None
         )
         text = (
             "the drive is no longer solved, since no input has poses at its scans: the fused path "
@@ -127,12 +130,12 @@ class DriveInput:
             "(slamfusion live reset)"
         )
         self._node.diagnostics.say("solution", text if is_lost else None)
-        if solution is None or not self.live.take(solution):
+        if solution is None or not self.locator.take(solution):
             return
         self._on_solution(solution)
         if depth == "judged":
             return
-        if self.live.solution is solution and self._path_topic.get_subscription_count():
+        if self.locator.solution is solution and self._path_topic.get_subscription_count():
             stamp = messages.to_stamp(float(solution.path.stamps_s[-1]))
             frame = settings.fused_frame
             self._path_topic.publish(messages.path_to_bytes(solution.path, frame, stamp))
@@ -285,7 +288,7 @@ class FusedFrames:
         return self._children.of(source.name, topic, source.frame)
 
     def _read(self) -> None:
-        self._state, solution = self._node.session.snapshot, self._node.drive.live.solution
+        self._state, solution = self._node.session.snapshot, self._node.drive.locator.solution
         self._supported = () if solution is None else solution.supported
 
     def _send(self, source: MapSource, heard: HeardPose, *, is_revised: bool) -> None:
@@ -299,7 +302,7 @@ class FusedFrames:
         self.leader = self._choose()
         if source.name != self.leader:
             return
-        located = self._node.drive.live.locate(source.name, heard.stamp_s, heard.pose)
+        located = self._node.drive.locator.locate(source.name, heard.stamp_s, heard.pose)
         if located is not None:
             pose, covariance = located.pose, located.covariance
         elif transform is None:

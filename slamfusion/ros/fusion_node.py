@@ -312,7 +312,7 @@ class FusionNode(NodeBase):
         for name in removed:
             self.session.remove(name)
             self._clocks.remove(name)
-            self.drive.live.remove(name)
+            self.drive.memory.remove(name)
             self.diagnostics.clear(f"writers {name}")
         for grid in saved:
             read = partial(self._on_page, grid.name, grid)
@@ -331,7 +331,7 @@ class FusionNode(NodeBase):
 
     def _on_pose(self, source: MapSource, heard: HeardPose) -> None:
         self.fusion.hear(source.name, heard.stamp_s, heard.pose)
-        self.drive.live.add_pose(source.name, heard.stamp_s, heard.pose)
+        self.drive.memory.add_pose(source.name, heard.stamp_s, heard.pose)
         self._frames.on_pose(source, heard)
         if self._page is not None:
             self._page.put_pose(source.name, heard.pose)
@@ -391,7 +391,7 @@ class FusionNode(NodeBase):
 
     def ask_reset(self) -> None:
         """Start a new fused frame; from any thread."""
-        self.drive.live.forget()
+        self.drive.memory.forget()
         self._name_conditions({})
         self.session.ask_reset()
         self._wake()
@@ -400,11 +400,12 @@ class FusionNode(NodeBase):
 
     def _on_solution(self, solution: DriveSolution) -> None:
         self.fusion.put_evidence(solution.evidence)
-        if self.drive.live.solution is not solution:  # the drive was forgotten meanwhile
+        if self.drive.locator.solution is not solution:  # the drive was forgotten meanwhile
             self.fusion.take_evidence()
             return
-        self._name_conditions(solution.conditions)
-        if "new place" in solution.conditions and self.settings.on_new_place == "reset":
+        conditions = solution.judgement.conditions
+        self._name_conditions(conditions)
+        if "new place" in conditions and self.settings.on_new_place == "reset":
             self.ask_reset()
         self._wake()
 
@@ -422,7 +423,7 @@ class FusionNode(NodeBase):
         if self._keeper.is_waiting(self.fusion.has_come):
             self.session.send()
             return
-        solution = self.drive.live.solution
+        solution = self.drive.locator.solution
         self.session.turn()
         if solution is not None and solution.is_final and self.session.waiting is None:
             self._final_s = float(solution.path.stamps_s[-1])
@@ -498,7 +499,7 @@ class FusionNode(NodeBase):
         if voters == 1 and self.live.minimum_inputs > 1:
             words += "; it goes on alone, and no other confirms it"
             level = max(level, Level.WARN)
-        update, solution = snapshot.update, self.drive.live.solution
+        update, solution = snapshot.update, self.drive.locator.solution
         grid = None if published is None else published[1]
         values: dict[str, object] = {
             "inputs": len(lines),

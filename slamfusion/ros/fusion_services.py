@@ -151,7 +151,7 @@ class FusionServices:
             [(f"the map {target}", file) for file in saved_files(target, **kind)],
         )
         written, _ = save_map(node.published[1], target, **rules)
-        if (solution := node.drive.live.solution) is not None:
+        if (solution := node.drive.locator.solution) is not None:
             write_tum(target.with_name(f"{target.name}.tum"), solution.path)
         where = str(written.resolve())
         node.log.info(f"the fused map is saved as {where!r}")

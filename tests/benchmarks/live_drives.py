@@ -33,7 +33,9 @@ from slamfusion.grid import OccupancyGrid
 from slamfusion.io import LogScan
 from slamfusion.jobs.fused_path import fuse_weighed_paths
 from slamfusion.jobs.inputs import LogFiles
-from slamfusion.jobs.live_drive import PARTS, STILL_S, Depth, DriveSolution, LiveDrive, Pace
+from slamfusion.jobs.live_drive import DriveLocator, DriveMemory, DriveSolution, DriveSolver, Pace
+from slamfusion.jobs.live_drive.pace import STILL_S, Depth
+from slamfusion.jobs.live_drive.solution import PARTS
 from slamfusion.sim import named_course, simulate, write_recording
 from slamfusion.slam.registry import BUILT_IN, make_producer, with_producers
 from slamfusion.trajectory import Trajectory
@@ -124,6 +126,7 @@ def told_drive(name: str, keep: Path | None, device: ComputeDevice) -> ToldDrive
             drive = read_drive(files, RunConfig())
         found = produce(drive, made.world.grid, device)
     if kept is not None:
+        kept.parent.mkdir(parents=True, exist_ok=True)
         kept.write_bytes(pickle.dumps(found))
     return found
 
@@ -195,7 +198,9 @@ class Robot:
 
     def __init__(self, names: Sequence[str], device: ComputeDevice) -> None:
         self.names = names
-        self.drive = LiveDrive(device)
+        self.memory = DriveMemory()
+        self.locator = DriveLocator(self.memory)
+        self.solver = DriveSolver(self.memory, self.locator, device)
         self.fusion = LiveFusion(RunConfig(), device)
         self.pace = Pace()
         self.solution: DriveSolution | None = None
@@ -210,12 +215,12 @@ class Robot:
     def hear(self, item: LogScan, told: Told, number: int) -> None:
         """Take a scan, and what the producers tell after it."""
         now_s, began_s = item.scan.stamp_s, time.process_time()
-        self.drive.add_scan(item)
+        self.memory.add_scan(item)
         for name in self.names:
-            self.drive.add_pose(name, now_s, told.poses[name])
+            self.memory.add_pose(name, now_s, told.poses[name])
             self.fusion.hear(name, now_s, told.poses[name])
             if name in told.paths:
-                self.drive.set_path(name, told.paths[name])
+                self.memory.set_path(name, told.paths[name])
             if name in told.maps:
                 self.fusion.put(name, told.maps[name], now_s)
         self._fuse(now_s)
@@ -223,10 +228,10 @@ class Robot:
         self.turn(now_s, number)
         if self.solution is not None and self.solution.supported:
             name = next(iter(self.solution.supported))
-            located = self.drive.locate(name, now_s, told.poses[name])
+            located = self.locator.locate(name, now_s, told.poses[name])
             if located is not None:
                 self.online.append((now_s, located))
-                self.is_undecided.append("undecided" in self.solution.conditions)
+                self.is_undecided.append("undecided" in self.solution.judgement.conditions)
 
     def turn(self, now_s: float, number: int) -> None:
         """Take the solution that is ready, and begin one that is due."""
@@ -256,7 +261,7 @@ class Robot:
             if record.accepted and record.transform is not None
         }
         began_s = time.process_time()
-        solution = self.drive.solve(
+        solution = self.solver.solve(
             depth, lattice=self.fusion.lattice, transforms=placed, resolution=self.fusion.resolution
         )
         spent_s = time.process_time() - began_s
@@ -269,7 +274,7 @@ class Robot:
         if self.solution is None:
             self.first_path = solution.path
         self.solution = solution
-        self.drive.take(solution)
+        self.locator.take(solution)
         for name in solution.evidence.doubts:
             self.named_s.setdefault(name, now_s)
         self.fusion.put_evidence(solution.evidence)

@@ -15,9 +15,18 @@ from slamfusion.evidence.beams import judged_scans
 from slamfusion.evidence.predictive import score_paths
 from slamfusion.fusion.live import LiveFusion
 from slamfusion.geometry import Pose2, fit_motion, moved_poses, with_levers
-from slamfusion.jobs import live_drive
 from slamfusion.jobs.fused_path import fuse_weighed_paths
-from slamfusion.jobs.live_drive import Depth, DriveSolution, LiveDrive, Pace
+from slamfusion.jobs.live_drive import (
+    DriveLocator,
+    DriveMemory,
+    DriveSolution,
+    DriveSolver,
+    Pace,
+    memory,
+    solver,
+)
+from slamfusion.jobs.live_drive.pace import Depth
+from slamfusion.jobs.live_drive.solution import DRIFT
 from slamfusion.trajectory import Trajectory
 from slamfusion.vote.lattice import Lattice
 from tests.evidence.rooms import circuit, recorded
@@ -46,7 +55,9 @@ class Robot:
     """Drives, and sends scans and poses of inputs, each in its own frame."""
 
     def __init__(self, device: ComputeDevice, *, bent_ones: str = "", names: str = "abc") -> None:
-        self.live = LiveDrive(device)
+        self.memory = DriveMemory()
+        self.locator = DriveLocator(self.memory)
+        self.solver = DriveSolver(self.memory, self.locator, device)
         self.scans, self.truth = drive(SCANS, turn_bias=0.002)
         self.names = names
         self.step = 0
@@ -64,8 +75,8 @@ class Robot:
         while self.step < step:
             item = self.scans[self.step]
             for name in self.names if names is None else names:
-                self.live.add_pose(name, item.scan.stamp_s, self.pose_of(name))
-            self.live.add_scan(item)
+                self.memory.add_pose(name, item.scan.stamp_s, self.pose_of(name))
+            self.memory.add_scan(item)
             self.step += 1
 
     def error_m(self, path: Trajectory) -> float:
@@ -76,8 +87,9 @@ class Robot:
 
 
 def solved(robot: Robot, depth: Depth = "whole", **given: object) -> DriveSolution:
-    solution = robot.live.solve(depth, **given)  # type: ignore[arg-type]
+    solution = robot.solver.solve(depth, **given)  # type: ignore[arg-type]
     assert solution is not None
+    robot.locator.take(solution)
     return solution
 
 
@@ -95,7 +107,7 @@ def test_the_path_is_better_than_each_input_and_lies_in_the_fused_frame(
     robot.drive_to(SCANS)
     found = solved(robot, lattice=LATTICE, transforms=in_frame_of_a(), resolution=0.05)
     assert not found.evidence.doubts
-    assert not found.conditions
+    assert not found.judgement.conditions
     assert robot.error_m(found.path) < 0.01
     for name, motion in found.evidence.transforms.items():
         apart = motion.compose(FRAMES[name])
@@ -145,8 +157,8 @@ def test_the_window_reaches_back_to_what_was_solved(device: ComputeDevice) -> No
     robot.drive_to(40)
     solved(robot, lattice=LATTICE, transforms=in_frame_of_a())
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(live_drive, "WINDOW_S", 3.0)
-        patch.setattr(live_drive, "LEAST_SCANS", 30)
+        patch.setattr(solver, "WINDOW_S", 3.0)
+        patch.setattr(solver, "LEAST_SCANS", 30)
         robot.drive_to(SCANS)
         found = solved(robot, "window", lattice=LATTICE, transforms=in_frame_of_a())
     assert len(found.path) == SCANS
@@ -157,7 +169,7 @@ def test_when_no_scan_comes_the_answer_is_that_of_run(
     device: ComputeDevice, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """With all hits, and with poses at scans without any, by the method of ``run``."""
-    monkeypatch.setattr(live_drive, "MOST_HITS", 5000)
+    monkeypatch.setattr(solver, "MOST_HITS", 5000)
     robot = Robot(device)
     for index in (50, 51, 90):
         scan = robot.scans[index].scan
@@ -208,8 +220,8 @@ def test_the_last_seconds_are_solved_between_solutions_of_the_whole_drive() -> N
 def test_the_window_continues_the_path_of_the_whole_drive(
     device: ComputeDevice, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(live_drive, "WINDOW_S", 5.0)
-    monkeypatch.setattr(live_drive, "LEAST_SCANS", 30)
+    monkeypatch.setattr(solver, "WINDOW_S", 5.0)
+    monkeypatch.setattr(solver, "LEAST_SCANS", 30)
     robot = Robot(device)
     robot.drive_to(100)
     first = solved(robot, lattice=LATTICE, transforms=in_frame_of_a())
@@ -225,8 +237,8 @@ def test_errors_of_windows_do_not_add_up(
     device: ComputeDevice, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Two inputs turn away alike, on a second and a third round along walls that are solved."""
-    monkeypatch.setattr(live_drive, "WINDOW_S", 5.0)
-    monkeypatch.setattr(live_drive, "LEAST_SCANS", 30)
+    monkeypatch.setattr(solver, "WINDOW_S", 5.0)
+    monkeypatch.setattr(solver, "LEAST_SCANS", 30)
     robot, truth = Robot(device, names="ab"), circuit(200, 2.8)
     robot.scans, robot.truth = recorded(truth), [Pose2(*row) for row in truth.poses]
     robot.bends = dict.fromkeys("ab", slowly_bent)
@@ -249,7 +261,7 @@ def test_a_corrected_path_takes_the_place_of_poses(device: ComputeDevice) -> Non
     }
     rows = [(pose.x, pose.y, pose.yaw_rad) for pose in robot.truth]
     stamps_s = np.array([item.scan.stamp_s for item in robot.scans])
-    robot.live.set_path("b", Trajectory(stamps_s[::3], np.array(rows)[::3], "b"))
+    robot.memory.set_path("b", Trajectory(stamps_s[::3], np.array(rows)[::3], "b"))
     found = solved(robot, lattice=LATTICE, transforms={"a": Pose2(0.4, 0.0, 0.0)})
     assert not found.evidence.doubts
     assert robot.error_m(found.path) < 0.015
@@ -262,15 +274,15 @@ def test_frozen_odometry_is_named(device: ComputeDevice) -> None:
     ]
     robot.drive_to(SCANS)
     found = solved(robot, lattice=LATTICE, transforms=in_frame_of_a())
-    assert found.conditions.keys() == {"odometry"}
-    assert "stands still from 9 s to 16 s" in found.conditions["odometry"]
+    assert found.judgement.conditions.keys() == {"odometry"}
+    assert "stands still from 9 s to 16 s" in found.judgement.conditions["odometry"]
 
 
 def test_poses_of_another_robot_and_of_a_silent_input_are_not_scored(device: ComputeDevice) -> None:
     robot = Robot(device)
     robot.drive_to(60)
     for step in range(SCANS):
-        robot.live.add_pose("other", 0.1 * step + 0.033, Pose2(float(step), 0.0, 0.0))
+        robot.memory.add_pose("other", 0.1 * step + 0.033, Pose2(float(step), 0.0, 0.0))
     robot.drive_to(SCANS, names="ab")
     assert set(solved(robot).evidence.transforms) == {"a", "b"}
 
@@ -278,8 +290,8 @@ def test_poses_of_another_robot_and_of_a_silent_input_are_not_scored(device: Com
 def test_a_long_drive_keeps_some_scans_and_its_inputs_poses_at_them(
     device: ComputeDevice, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(live_drive, "MOST_SCANS", 60)
-    monkeypatch.setattr(live_drive, "WINDOW_S", 2.5)
+    monkeypatch.setattr(memory, "MOST_SCANS", 60)
+    monkeypatch.setattr(memory, "WINDOW_S", 2.5)
     robot = Robot(device)
     robot.bends = dict.fromkeys("abc", slowly_bent)
     robot.scans = [
@@ -292,7 +304,7 @@ def test_a_long_drive_keeps_some_scans_and_its_inputs_poses_at_them(
         own = [frame.compose(pose) for pose in robot.truth]
         rows = np.array([(pose.x, pose.y, pose.yaw_rad) for pose in own])
         stamps_s = np.array([item.scan.stamp_s for item in robot.scans])
-        robot.live.set_path(name, Trajectory(stamps_s[::3], rows[::3], name))
+        robot.memory.set_path(name, Trajectory(stamps_s[::3], rows[::3], name))
     found = solved(robot, lattice=LATTICE, transforms=in_frame_of_a())
     assert len(found.path) <= 60
     assert np.diff(found.path.stamps_s)[-10:].max() < 0.11
@@ -315,7 +327,7 @@ def test_scans_without_odometry_are_left_out_where_others_have_it(device: Comput
         robot = Robot(device)
         for index in without:
             robot.scans[index] = replace(robot.scans[index], odometry=None)
-        while robot.live.solve("whole") is None:
+        while robot.solver.solve("whole") is None:
             robot.drive_to(robot.step + 1)
         first.append(robot.step)
     assert first[1] == first[0] + 3
@@ -350,46 +362,46 @@ def test_new_poses_are_located_on_the_solved_walls(device: ComputeDevice) -> Non
     """Inputs drift after the solution: their scans show where the robot is."""
     robot = Robot(device)
     robot.drive_to(100)
-    assert robot.live.locate("a", 9.9, Pose2()) is None
+    assert robot.locator.locate("a", 9.9, Pose2()) is None
     solution = solved(robot, lattice=LATTICE, transforms=in_frame_of_a())
-    robot.live.take(solution)
+    robot.locator.take(solution)
     off_m = []
     for step in range(100, SCANS):
         truth = robot.truth[step]
         drifted = Pose2(0.003 * (step - 100), 0.0, 0.0).compose(robot.pose_of("a"))
         robot.drive_to(step + 1, "")
-        found = robot.live.locate("a", robot.scans[step].scan.stamp_s, drifted)
+        found = robot.locator.locate("a", robot.scans[step].scan.stamp_s, drifted)
         assert found is not None
         off_m.append(math.dist((found.pose.x, found.pose.y), (truth.x, truth.y)))
     assert max(off_m) < 0.03
     # Without a scan of its stamp a pose is carried on, and is less sure.
-    later = robot.live.locate("a", 1e3, drifted)
+    later = robot.locator.locate("a", 1e3, drifted)
     assert later is not None
     assert not later.fits
     assert np.all(np.diag(later.covariance) > np.diag(found.covariance))
     # Walls that are less sure make the pose less sure.
     assert solution.walls is not None
     unsure_walls = replace(solution.walls, covariance=np.diag((0.09, 0.04, 0.01)))
-    robot.live.take(replace(solution, walls=unsure_walls))
-    unsure = robot.live.locate("a", 1e3, drifted)
+    robot.locator.take(replace(solution, walls=unsure_walls))
+    unsure = robot.locator.locate("a", 1e3, drifted)
     assert unsure is not None
     assert np.all(np.diag(unsure.covariance) > (0.09, 0.04, 0.01))
     # Where no scan sees a wall, a new path moves the poses as well.
-    robot.live.take(replace(solution, walls=None))
-    before = robot.live.locate("a", 1e3, drifted)
+    robot.locator.take(replace(solution, walls=None))
+    before = robot.locator.locate("a", 1e3, drifted)
     transforms = dict.fromkeys("abc", Pose2(5.0, 0.0, 0.0))
     moved = replace(solution.evidence, transforms=transforms)
     path = replace(solution.path, poses=np.add(solution.path.poses, (5.0, 0.0, 0.0)))
-    robot.live.take(replace(solution, walls=None, path=path, evidence=moved))
-    after = robot.live.locate("a", 1e3, drifted)
+    robot.locator.take(replace(solution, walls=None, path=path, evidence=moved))
+    after = robot.locator.locate("a", 1e3, drifted)
     assert before is not None
     assert after is not None
     assert after.pose == Pose2(5.0, 0.0, 0.0).compose(drifted) != before.pose
-    robot.live.forget()
-    assert robot.live.locate("a", 1e3, drifted) is None
+    robot.memory.forget()
+    assert robot.locator.locate("a", 1e3, drifted) is None
     # One that was computed meanwhile is in the frame of the old drive.
-    assert not robot.live.take(solution)
-    assert robot.live.locate("a", 1e3, drifted) is None
+    assert not robot.locator.take(solution)
+    assert robot.locator.locate("a", 1e3, drifted) is None
 
 
 def test_a_bent_input_is_contradicted_between_solutions_by_the_located_poses(
@@ -397,21 +409,21 @@ def test_a_bent_input_is_contradicted_between_solutions_by_the_located_poses(
 ) -> None:
     robot = Robot(device, bent_ones="b")
     robot.drive_to(60)
-    assert robot.live.solve("judged") is None
+    assert robot.solver.solve("judged") is None
     solution = solved(robot, lattice=LATTICE, transforms=in_frame_of_a())
-    robot.live.take(solution)
+    robot.locator.take(solution)
     assert {*solution.supported} == {*solved(robot, "judged").supported} == {*"abc"}
     while robot.step < 140:
         stamp_s, pose = robot.scans[robot.step].scan.stamp_s, robot.pose_of("a")
         robot.drive_to(robot.step + 1)
-        assert robot.live.locate("a", stamp_s, pose) is not None
+        assert robot.locator.locate("a", stamp_s, pose) is not None
     later = solved(robot, "judged")
     assert {*later.supported} == {*"ac"}
     assert "contradict its path since" in later.evidence.doubts["b"]
     assert later.path is solution.path
-    robot.live.take(later)
-    assert robot.live.locate("b", stamp_s, Pose2()) is None
-    assert robot.live.locate("a", stamp_s, pose) is not None
+    robot.locator.take(later)
+    assert robot.locator.locate("b", stamp_s, Pose2()) is None
+    assert robot.locator.locate("a", stamp_s, pose) is not None
 
 
 def test_poses_that_come_before_their_scans_are_located_by_the_scan_before(
@@ -419,21 +431,21 @@ def test_poses_that_come_before_their_scans_are_located_by_the_scan_before(
 ) -> None:
     robot = Robot(device)
     robot.drive_to(100)
-    robot.live.take(solved(robot, lattice=LATTICE, transforms=in_frame_of_a()))
+    robot.locator.take(solved(robot, lattice=LATTICE, transforms=in_frame_of_a()))
     for step in range(100, SCANS):
         robot.step, item, truth = step, robot.scans[step], robot.truth[step]
         drifted = Pose2(0.003 * (step - 100), 0.0, 0.0).compose(robot.pose_of("a"))
-        robot.live.add_pose("a", item.scan.stamp_s, drifted)
-        found = robot.live.locate("a", item.scan.stamp_s, drifted)
+        robot.memory.add_pose("a", item.scan.stamp_s, drifted)
+        found = robot.locator.locate("a", item.scan.stamp_s, drifted)
         assert found is not None
         assert found.fits == (step > 100)
         assert math.dist((found.pose.x, found.pose.y), (truth.x, truth.y)) < 0.06
-        robot.live.add_scan(item)
+        robot.memory.add_scan(item)
     # The laser is silent now.
-    later = robot.live.locate("a", item.scan.stamp_s + 1.0, drifted)
+    later = robot.locator.locate("a", item.scan.stamp_s + 1.0, drifted)
     assert later is not None
     assert later.fits
-    later = robot.live.locate("a", item.scan.stamp_s + 2.0, drifted)
+    later = robot.locator.locate("a", item.scan.stamp_s + 2.0, drifted)
     assert later is not None
     assert not later.fits
 
@@ -444,12 +456,12 @@ def test_where_scans_see_too_little_the_pose_is_less_sure(device: ComputeDevice)
         ranges = np.full_like(item.scan.ranges, np.inf)
         robot.scans[at] = replace(item, scan=replace(item.scan, ranges=ranges))
     robot.drive_to(60)
-    robot.live.take(solved(robot, lattice=LATTICE, transforms=in_frame_of_a()))
+    robot.locator.take(solved(robot, lattice=LATTICE, transforms=in_frame_of_a()))
     robot.drive_to(90, "a")
     way_m = math.dist(*((pose.x, pose.y) for pose in (robot.truth[59], robot.truth[89])))
-    found = robot.live.locate("a", robot.scans[89].scan.stamp_s, robot.pose_of("a"))
+    found = robot.locator.locate("a", robot.scans[89].scan.stamp_s, robot.pose_of("a"))
     assert found is not None
-    assert found.covariance[0, 0] > (live_drive.DRIFT * way_m) ** 2
+    assert found.covariance[0, 0] > (DRIFT * way_m) ** 2
 
 
 @pytest.mark.parametrize("is_blind", [False, True])
@@ -460,13 +472,13 @@ def test_of_inputs_that_part_after_the_solution_most_say_where_the_robot_is(
     robot = Robot(device)
     robot.bends["b"] = lambda pose, step: Pose2(0.0, 0.0, 0.02 * max(0, step - 60)).compose(pose)
     robot.drive_to(60)
-    robot.live.take(solved(robot, lattice=LATTICE, transforms=in_frame_of_a()))
+    robot.locator.take(solved(robot, lattice=LATTICE, transforms=in_frame_of_a()))
     for at, item in enumerate(robot.scans[60:], 60):
         ranges = np.full_like(item.scan.ranges, np.inf) if is_blind else item.scan.ranges
         robot.scans[at] = replace(item, scan=replace(item.scan, ranges=ranges))
     robot.drive_to(150)
     robot.step, truth = 149, robot.truth[149]
-    found = robot.live.locate("b", robot.scans[149].scan.stamp_s, robot.pose_of("b"))
+    found = robot.locator.locate("b", robot.scans[149].scan.stamp_s, robot.pose_of("b"))
     assert found is not None
     assert found.fits != is_blind
     assert math.dist((found.pose.x, found.pose.y), (truth.x, truth.y)) < 0.1
@@ -492,7 +504,7 @@ def test_a_place_that_is_seen_again_is_as_sure_as_before(device: ComputeDevice) 
         assert walls is not None
         sigmas_m.append(math.sqrt(walls.covariance[0, 0]))
     way_m = math.dist(*((pose.x, pose.y) for pose in (robot.truth[39], robot.truth[69])))
-    assert sigmas_m[0] == pytest.approx(live_drive.DRIFT * way_m, rel=0.3)
+    assert sigmas_m[0] == pytest.approx(DRIFT * way_m, rel=0.3)
     assert sigmas_m[1] < 0.3 * sigmas_m[0]
 
 
@@ -502,11 +514,11 @@ def test_a_new_room_is_matched_before_a_solution_has_seen_it(device: ComputeDevi
         ranges = np.where(item.scan.ranges < 2.5, item.scan.ranges, np.inf).astype(np.float32)
         robot.scans[at] = replace(item, scan=replace(item.scan, ranges=ranges))
     robot.drive_to(30)
-    robot.live.take(solved(robot, lattice=LATTICE, transforms=in_frame_of_a()))
+    robot.locator.take(solved(robot, lattice=LATTICE, transforms=in_frame_of_a()))
     for step in range(30, SCANS):
         drifted = Pose2(0.0, 0.003 * (step - 30), 0.0).compose(robot.pose_of("a"))
         robot.drive_to(step + 1, "")
-        found = robot.live.locate("a", robot.scans[step].scan.stamp_s, drifted)
+        found = robot.locator.locate("a", robot.scans[step].scan.stamp_s, drifted)
         assert found is not None
         assert found.fits, step
         truth = robot.truth[step]

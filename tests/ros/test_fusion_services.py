@@ -39,7 +39,7 @@ class Node:
     def __init__(self, folder: Path) -> None:
         self.settings = FusionNodeConfig(save_path=str(folder / "lab"))
         self.published: Any = (None, three()["a"])
-        self.drive = SimpleNamespace(live=SimpleNamespace(solution=None))
+        self.drive = SimpleNamespace(locator=SimpleNamespace(solution=None))
         self.session = SimpleNamespace(snapshot=FusionState())
         self.inputs: Any = SimpleNamespace(entries={"a": "a/map"}, load=self.load)
         self.answers: dict[str, Any] = {}
