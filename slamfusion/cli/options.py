@@ -318,9 +318,10 @@ def seeds(places: str) -> Callable[[F], F]:
         found: dict[int, None] = {}
         for part in [] if text is None else text.split(","):
             first, dash, last = part.partition("-")
-            if not first.strip().isdecimal() or (dash and not last.strip().isdecimal()):
+            ends = (first, last) if dash else (first, first)
+            if not all(end.strip().isdecimal() for end in ends) or int(ends[1]) < int(ends[0]):
                 raise click.BadParameter(f"wanted seeds like 0-9 or 1,2,5, found {text!r}")
-            found |= dict.fromkeys(range(int(first), int(last if dash else first) + 1))
+            found |= dict.fromkeys(range(int(ends[0]), int(ends[1]) + 1))
         return tuple(found)
 
     return click.option(
