@@ -220,7 +220,7 @@ def _not_beaten(
         return Decision(
             "too little in common",
             f"too little in common to judge: {evidence.common_m:.1f} m of walls, "
-            f"{max(evidence.pieces, 0.0):.1f} independent pieces of wall; maps of two places fit "
+            f"{max(0.0, evidence.pieces):.1f} independent pieces of wall; maps of two places fit "
             f"so well by chance{contradiction}",
         )
     if is_enough(evidence.better):
@@ -233,7 +233,7 @@ def _not_beaten(
         return Decision(
             "too little in common",
             f"too little in common: of the {evidence.common_m:.1f} m of common walls "
-            f"{max(evidence.better, 0.0):.1f} independent pieces tell it from a shift of itself",
+            f"{max(0.0, evidence.better):.1f} independent pieces tell it from a shift of itself",
         )
     is_alike = min(evidence.share, evidence.rival_ratio, statistics["overlap"]) >= MOST
     if is_alike and rival is not None:
