@@ -190,17 +190,16 @@ def outside_area(
         transform: maps a point of the map's frame into the truth's, metres.
         margin_m: a cell this near to the outline does not count, at least 0.
     """
-    margin = math.floor(margin_m / truth.resolution + 1e-6)
-    known = np.pad(truth.cells != UNKNOWN, margin)
-    outline = scipy.ndimage.binary_fill_holes(known)
-    if margin:
-        # Euclidean distance; a square of cells would reach further.
-        outline = scipy.ndimage.distance_transform_edt(~outline) <= margin + 1e-6
+    outline = scipy.ndimage.binary_fill_holes(truth.cells != UNKNOWN)
+    edge = np.argwhere(outline & ~scipy.ndimage.binary_erosion(outline))
     rows, cols = np.nonzero(grid.cells != UNKNOWN)
     points = transform.transform(grid.cell_centres(rows, cols))
     true_rows, true_cols = truth.cell_indices(points)
-    within = cells_at(outline, true_rows + margin, true_cols + margin, False)
-    return int(np.count_nonzero(~within)) * grid.resolution**2
+    is_beyond = ~cells_at(outline, true_rows, true_cols, False)
+    beyond = np.column_stack((true_rows, true_cols))[is_beyond]
+    away, _ = scipy.spatial.KDTree(edge).query(beyond)
+    margin = np.floor(margin_m / truth.resolution + 1e-6)
+    return int(np.count_nonzero(away > margin + 1e-6)) * grid.resolution**2
 
 
 def _run_behind(walls: B8, row_step: int, col_step: int) -> npt.NDArray[np.int_]:

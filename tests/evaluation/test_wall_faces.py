@@ -136,6 +136,7 @@ def test_spikes_beyond_the_box_of_the_truth_count() -> None:
     assert outside(spiked, truth) == pytest.approx(3 * 197 * 0.05**2)
     far = OccupancyGrid(np.zeros((2, 2), dtype=np.int8), 0.05, Pose2(-500.0, 500.0))
     assert outside(far, truth) == pytest.approx(4 * 0.05**2)
+    assert outside(far, truth, math.inf) == 0.0
 
 
 @settings(max_examples=examples(40))
