@@ -116,7 +116,7 @@ class MatchEvidence:
     weight: float
     """What a piece counts in this reading; 0 where the maps cannot be read so."""
     share: float
-    """Evidence as a share of what the common ground could give, at most 1."""
+    """Evidence as a share of what the common ground could give, 0 to 1."""
     common_m: float
     """Wall that lies where the other map has seen something, metres."""
     rival_ratio: float

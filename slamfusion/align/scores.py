@@ -83,9 +83,9 @@ class WallPieces:
         )
 
     def share(self) -> F64:
-        """Return (P,) the evidence as a share of what the common ground could give."""
+        """Return (P,) the evidence, if any, as a share of what the common ground could give."""
         most = np.maximum(self.share_most.sum(axis=1), 1e-9)
-        return np.asarray(self.evidence.sum(axis=1) / most)
+        return np.asarray(np.maximum(self.evidence.sum(axis=1), 0.0) / most)
 
     def count(self, values: F64, noise: float = 0.0, left: F64 | float = 1.0) -> F64:
         """Return the number of independent pieces of equal weight among values (..., B).

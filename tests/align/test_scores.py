@@ -183,6 +183,7 @@ def test_evidence_that_contradicts_is_not_spent() -> None:
     left = pieces.left(0)
     assert left.tolist() == [1.0, 1.0, 1.0]
     assert pieces.count(row, left=left) == pieces.count(row) < 0.0
+    assert pieces.share().tolist() == [0.0]
 
 
 def grown(picture: str, times: int) -> OccupancyGrid:
