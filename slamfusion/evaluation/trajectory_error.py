@@ -289,11 +289,12 @@ def trajectory_errors(
 def associate(first: Trajectory, second: Trajectory, tolerance_s: float) -> tuple[I64, I64]:
     """Return indices (M,) into both of poses that are each other's nearest in time."""
     there, is_near = second.matches(first.stamps_s, tolerance_s)
-    back = first.nearest(second.stamps_s)
-    own = np.arange(len(first), dtype=np.int64)
-    # Of poses with one stamp only the first is nearest; that is a pair as well.
-    paired = (back[there] == own) & is_near
-    return own[paired], there[paired]
+    apart_s = np.abs(second.stamps_s - first.stamps_s[first.nearest(second.stamps_s)])
+    is_mutual = np.abs(first.stamps_s - second.stamps_s[there]) <= apart_s[there]
+    own = np.flatnonzero(is_near & is_mutual)
+    # Of poses that are equally near to one, such as those of one stamp, the first is the pair.
+    paired, firsts = np.unique(there[own], return_index=True)
+    return own[firsts], paired
 
 
 def _pairs(progress: F64, delta: float) -> tuple[I64, I64]:

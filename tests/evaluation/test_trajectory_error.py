@@ -134,6 +134,9 @@ def test_poses_are_paired_once_by_the_nearest_time() -> None:
     second, first = associate(rare, dense, 0.01)
     assert first.tolist() == [0, 2, 5]
     assert second.tolist() == [0, 1, 3]
+    # Halfway between two poses, the earlier is the pair.
+    first, second = associate(line(), line().later(-0.5), 0.5)
+    assert first.tolist() == second.tolist() == list(range(11))
 
 
 @pytest.mark.parametrize("shift_s", [100.0, 9.995])
