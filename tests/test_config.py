@@ -167,6 +167,12 @@ def test_a_bare_no_in_yaml_is_the_choice_no() -> None:
         from_mapping(LogConfig, yaml.safe_load("laser: no"))
 
 
+def test_a_number_in_yaml_is_a_text_as_in_the_option() -> None:
+    values = yaml.safe_load("{fusion: {reference: 2}, trajectory: {time_offset: -0.5}}")
+    config = from_mapping(RunConfig, values)
+    assert (config.fusion.reference, config.trajectory.time_offset) == ("2", "-0.5")
+
+
 @pytest.mark.parametrize(
     ("values", "words"),
     [

@@ -401,6 +401,8 @@ def _coerced(value: Any, info: FieldInfo, where: str) -> Any:
         return float(value)
     if info.kind is not float and type(value) is info.kind and is_usable:
         return value
+    if info.kind is str and is_number and not (info.choices or info.is_list):
+        return str(value)  # an index, or seconds
     if value is False and "no" in info.choices:  # YAML 1.1 reads a bare no as false
         return "no"
     one = " or ".join(info.choices) or info.kind.__name__
