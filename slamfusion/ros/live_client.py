@@ -86,12 +86,11 @@ class LiveClient:
         return _answer(result.successful, result.reason)
 
     def set(self, name: str, value: str) -> LiveAnswerDocument:
-        """Set a parameter to a value in YAML, and return the answer."""
+        """Set a parameter to a value in YAML, else to the text, and return the answer."""
         try:
-            parameter = Parameter(name, value=yaml.safe_load(value))
-        except (TypeError, yaml.YAMLError) as error:
-            message = f"{name}: {value!r} is no value of a parameter; wanted 1.5, true or a text"
-            raise LiveNodeError(message) from error
+            parameter = Parameter(name, value=yaml.safe_load(value) if value else value)
+        except (TypeError, yaml.YAMLError):  # such as */map, or a date
+            parameter = Parameter(name, value=value)
         return self._set(parameter, f"{name} is {parameter.value!r} now")
 
     def add(self, name: str, topic: str | None = None) -> LiveAnswerDocument:

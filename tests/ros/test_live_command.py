@@ -88,6 +88,9 @@ def test_a_running_fusion_answers(
     assert "not saved: path '/nowhere/lab' leads out of" in refused["message"]
     a_saved_map_becomes_an_input(observer, tmp_path)
     assert live("set", "max_publish_rate_hz", "2.5")["success"]
+    for text in ("*/never", ""):
+        answer = {"success": True, "message": f"discover is {text!r} now"}
+        assert live("set", "discover", text) == answer
     refused = live("set", "max_publish_rate_hz", "-1.0", code=1)
     assert not refused["success"]
     assert "max_publish_rate_hz" in refused["message"]
