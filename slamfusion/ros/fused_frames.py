@@ -391,9 +391,9 @@ class FusedFrames:
                 odometry = self._odometry.lookup(*frames, stamp_s)
         except TransformError as error:
             text = f"no odometry for {settings.fused_frame} -> {frames[0]}: {error}"
-            diagnostics.say("odometry", text)
+            diagnostics.say("odometry of poses", text)
             return
-        diagnostics.clear("odometry")
+        diagnostics.clear("odometry of poses")
         if self._resets != self._state.resets:
             self._resets, self._odom_frame = self._state.resets, OdomFrame()
         self._odom_frame.correct(stamp_s, pose, odometry)
