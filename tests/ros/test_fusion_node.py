@@ -302,7 +302,7 @@ def test_pose_and_transforms_agree_and_a_point_lands_on_its_fused_cell(
     fused = observer.collect(OccupancyGrid, "fused/map", qos.MAP)
     poses = observer.collect(PoseWithCovarianceStamped, "fused/pose")
     frames = TransformInput(observer.node)
-    fusion = start_fusion(processes, publish_tf=True)
+    start_fusion(processes, publish_tf=True)
     robot = Robot(observer)
     makers.send_all()
     wait_for_all(observer)
@@ -364,19 +364,6 @@ def test_pose_and_transforms_agree_and_a_point_lands_on_its_fused_cell(
     observer.wait(go_on, what="the pose of another input")
     assert_near(messages.pose2_from_message(poses[-1].pose.pose), place, 0.02, 0.01)
     observer.node.destroy_publisher(silent)
-    # Poses ahead of the odometry are named once, also while scans have theirs.
-    topic, scan = observer.publisher(LaserScan, "scan"), LaserScan(range_max=8.0, ranges=[1.0])
-    scan.header.frame_id, ahead = "base_link", messages.to_stamp(stamp_s + 9.0)
-    observer.wait(topic.get_subscription_count, what="the fusion")
-    for count in range(1, 11):
-        for name, publisher in robot.poses.items():
-            publisher.publish(messages.pose_to_message(place, f"{name}_map", ahead))
-        observer.listen(0.1)
-        scan.header.stamp = stamp = messages.to_stamp(stamp_s + 0.1 * count)
-        robot.odometry.publish(messages.odometry_to_message(place, "odom", "base_link", stamp))
-        topic.publish(scan)
-        observer.listen(0.1)
-    assert fusion.text().count("no odometry for fused_map -> odom") == 1
 
 
 class Followed:
@@ -453,3 +440,23 @@ def test_a_silent_input_gives_no_pose_once_another_has_moved_on(
     last = messages.pose2_from_message(followed.poses[-1].pose.pose)
     assert_near(last, second, 0.03, 0.01)
     observer.node.destroy_publisher(silent)
+
+
+def test_poses_ahead_of_the_odometry_are_named_once_while_scans_have_theirs(
+    processes: Processes, observer: Observer, makers: Makers
+):
+    robot, place = Followed(processes, observer, makers, "abc").robot, Pose2(2.0, 1.5, 0.3)
+    topic, scan = observer.publisher(LaserScan, "scan"), LaserScan(range_max=8.0, ranges=[1.0])
+    scan.header.frame_id = "base_link"
+    observer.wait(topic.get_subscription_count, what="the fusion")
+    for count in range(10):
+        for name, publisher in robot.poses.items():
+            ahead = messages.to_stamp(210.0)
+            publisher.publish(messages.pose_to_message(place, f"{name}_map", ahead))
+        observer.listen(0.1)
+        scan.header.stamp = stamp = messages.to_stamp(200.0 + 0.1 * count)
+        robot.odometry.publish(messages.odometry_to_message(place, "odom", "base_link", stamp))
+        topic.publish(scan)
+        observer.listen(0.1)
+    text = processes.running[-1].text()
+    assert text.count("no odometry for fused_map -> odom") == 1, text
