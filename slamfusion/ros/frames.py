@@ -7,6 +7,7 @@ on ``transforms`` and ``transforms_static``.
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections import deque
@@ -37,7 +38,7 @@ WITHOUT_TF2 = (
     "for /tf"
 )
 
-# Own transforms kept, to recognise those of others.
+# Own transforms kept, to recognise those of others, and for how long both senders count, seconds.
 OWN_KEPT = 500
 RIVAL_KEPT_S = 5.0
 
@@ -146,7 +147,7 @@ class TransformOutput:
     def __init__(self, node: Any) -> None:
         self._lock = threading.Lock()
         self._own: deque[tuple[Any, ...]] = deque(maxlen=OWN_KEPT)
-        self._children: set[str] = set()
+        self._sent_s: dict[str, float] = {}
         self._rivals: dict[str, tuple[str, float]] = {}
         kind, moving, static = _topics(node)
         static_qos = qos.TF_STATIC if HAS_TF2 else qos.TF_STATIC_READ
@@ -164,7 +165,8 @@ class TransformOutput:
         if not is_static:
             with self._lock:
                 self._own.extend(map(_key, items))
-                self._children.update(item.child_frame_id for item in items)
+                children = (item.child_frame_id for item in items)
+                self._sent_s |= dict.fromkeys(children, time.monotonic())
         for message in [TFMessage(transforms=items)] if HAS_TF2 and items else items:
             publisher.publish(message)
 
@@ -182,11 +184,14 @@ class TransformOutput:
         return child, f"another node sends the transform to {child!r} too (from {found[child]!r})"
 
     def _listen(self, message: Any) -> None:
-        """Note foreign transforms to a child frame of ours."""
+        """Note foreign transforms to a child frame that was sent in the last seconds."""
+        now_s = time.monotonic()
         with self._lock:
             for item in _listed(message):
-                if item.child_frame_id in self._children and _key(item) not in self._own:
-                    self._rivals[item.child_frame_id] = (item.header.frame_id, time.monotonic())
+                child = item.child_frame_id
+                is_ours = now_s - self._sent_s.get(child, -math.inf) < RIVAL_KEPT_S
+                if is_ours and _key(item) not in self._own:
+                    self._rivals[child] = (item.header.frame_id, now_s)
 
 
 def _key(item: TransformStamped) -> tuple[Any, ...]:

@@ -519,8 +519,8 @@ def test_two_nodes_that_send_the_same_transform_are_named(processes: Processes, 
     words = "another node sends the transform to 'odom' too (from {!r})"
     rivals = {"tinyslam: slam": "graph_map", "graph: slam": "tinyslam_map"}
     # A rival that sends no more is none, so both have to be named while they send.
-    named = set()
-    for item in scans(400):
+    named, coming = set(), iter(scans(400))
+    for item in coming:
         robot.drive([item], tinyslam)
         wait_for_pose(observer, graph, item.scan.stamp_s)
         observer.listen(0.05)
@@ -534,6 +534,15 @@ def test_two_nodes_that_send_the_same_transform_are_named(processes: Processes, 
         if named == rivals.keys():
             break
     assert named == rivals.keys(), {name: item.message for name, item in statuses.items()}
+    # The one that leaves it to the other is no rival any more.
+    assert observer.set_parameter("tinyslam", "publish_tf", False).successful
+
+    def has_ended() -> bool:
+        robot.drive([next(coming)], tinyslam)
+        observer.listen(0.1)
+        return "another node sends" not in statuses["tinyslam: slam"].message
+
+    observer.wait(has_ended, 20.0, "the end of the rivals")
 
 
 def test_parameters_may_change_where_that_makes_sense(processes: Processes, observer: Observer):
