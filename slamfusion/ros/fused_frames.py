@@ -257,6 +257,9 @@ class FusedFrames:
         settings = self._node.settings
         frames = settings.odom_frame, settings.base_frame
         if not settings.publish_tf or settings.odom_frame == settings.fused_frame:
+            self._odom_frame = OdomFrame()
+            self._node.diagnostics.clear("odometry of poses")
+            self._node.diagnostics.clear("correction")
             return
         stamp_s = self._odometry.heard_s(*frames)
         if stamp_s is None or stamp_s == self._driven_s:

@@ -459,4 +459,8 @@ def test_poses_ahead_of_the_odometry_are_named_once_while_scans_have_theirs(
         topic.publish(scan)
         observer.listen(0.1)
     text = processes.running[-1].text()
-    assert text.count("no odometry for fused_map -> odom") == 1, text
+    words = "no odometry for fused_map -> odom"
+    assert text.count(words) == 1, text
+    observer.wait_status(FUSION, words)
+    assert observer.set_parameter("fusion", "publish_tf", False).successful
+    observer.wait(lambda: words not in observer.statuses()[FUSION].message, what="the end of it")
