@@ -113,13 +113,16 @@ class ScanInput:
         if problem:
             self._base.diagnostics.note("odometry values", f"odometry left out: {problem}")
             return
-        child = message.child_frame_id.lstrip("/")
-        if child and child != base:
-            text = (
-                f"odometry is that of {child!r}, not of base_frame {base!r}; it is taken for the "
-                "same"
-            )
-            self._base.diagnostics.note("odometry frame", text)
+        named = {
+            "odom_frame": (message.header.frame_id, odom),
+            "base_frame": (message.child_frame_id, base),
+        }
+        for name, (frame, wanted) in named.items():
+            if frame.lstrip("/") not in {"", wanted}:
+                text = (
+                    f"odometry names {frame!r}, which is taken for {name}, {wanted!r}; correct one"
+                )
+                self._base.diagnostics.note(f"odometry {name}", text)
         assert self.odometry is not None  # noqa: S101  (made before the subscription)
         self.odometry.add([messages.transform_to_message(pose, odom, base, message.header.stamp)])
 

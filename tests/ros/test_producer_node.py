@@ -485,6 +485,10 @@ def test_what_is_no_scan_is_left_out_and_the_node_goes_on(processes: Processes, 
     odometry.pose.pose.position.x = math.nan
     robot.odometry.publish(odometry)
     observer.wait_status("tinyslam: slam", "angle step must be finite", "odometry left out")
+    others = messages.odometry_to_message(Pose2(), "r/odom", "r/base", Time(sec=100))
+    robot.odometry.publish(others)
+    names = "'r/odom', which is taken for odom_frame, 'odom'", "'r/base', which is taken for base"
+    observer.wait_status("tinyslam: slam", *names)
     robot.drive(sent[4:], poses)
     figures = wait_for_figures(observer, "tinyslam", "scans fed", 12)
     assert figures["left out: angles or ranges that cannot be a scan"] == "3"
