@@ -150,8 +150,9 @@ class ScanInput:
                 settings.base_frame, frame, scan.stamp_s, self._wait_s(scan, self.transforms)
             )
         except TransformError as error:
+            what = "send" if error.may_come else "correct"
             text = (
-                f"scans in {frame!r} cannot be used: {error}; send the transform, or set "
+                f"scans in {frame!r} cannot be used: {error}; {what} the transform, or set "
                 "laser_source to parameter"
             )
             self._base.diagnostics.say("laser", text, Level.ERROR)

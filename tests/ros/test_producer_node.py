@@ -468,9 +468,20 @@ def test_a_laser_without_a_transform_is_named(processes: Processes, observer: Ob
     message = messages.scan_to_message(scans(1)[0].scan, "front_laser")
     robot.scans.publish(message)
     status = observer.wait_status(
-        "tinyslam: slam", "scans in 'front_laser' cannot be used", "laser_source to parameter"
+        "tinyslam: slam", "scans in 'front_laser' cannot be used", "; send the transform, or set"
     )
     assert status.level == DiagnosticStatus.ERROR
+    tf2.skip_without()
+    from tf2_msgs.msg import TFMessage  # noqa: PLC0415
+
+    tilted = messages.transform_to_message(Pose2(), "base_link", "front_laser", Time())
+    tilted.transform.rotation.y = 1.0
+    topic = observer.publisher(TFMessage, "/tf_static", qos.TF_STATIC)
+    topic.publish(TFMessage(transforms=[tilted]))
+    observer.listen(0.5)
+    message.header.stamp.sec += 1
+    robot.scans.publish(message)
+    observer.wait_status("tinyslam: slam", "is tilted by 90 degrees", "; correct the transform, or")
 
 
 def test_what_is_no_scan_is_left_out_and_the_node_goes_on(processes: Processes, observer: Observer):
