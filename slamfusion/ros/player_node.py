@@ -86,11 +86,13 @@ class PlayerNode(NodeBase):
         reading = declare(node, LogConfig(), "log")
         self.wait_for = declare_names(node, WAIT_FOR)
         map_topics = declare_names(node, MAPS, [f"{name}/map" for name in self.wait_for])
-        if self.settings.file is None:
+        if not self.settings.file:
             raise ConfigError("player: name the log or bag with the parameter file: -p file:=PATH")
         if self.settings.lockstep and not self.wait_for:
             message = "player: lockstep needs to know whom to wait for: -p wait_for:=[NAME]"
             raise ConfigError(message)
+        if self.settings.save is not None and not map_topics:
+            raise ConfigError("player: save needs to know which maps: -p maps:=[NAME/map]")
         # Notified on poses, maps and the node's end.
         self._changed = threading.Condition()
         self._is_ending = False
@@ -307,6 +309,8 @@ class PlayerNode(NodeBase):
             topic: folder / topic.strip("/").removesuffix("/map").replace("/", "_")
             for topic in topics
         }
+        if len({*self._stems.values()}) < len(topics):
+            raise ConfigError(f"player: two maps would have one file: {', '.join(topics)}")
         refuse_overwriting(
             [(log, file) for file in log_sources(log)],
             [(f"save {stem}", file) for stem in self._stems.values() for file in saved_files(stem)],
@@ -336,7 +340,7 @@ class PlayerNode(NodeBase):
             what = "it is older than the last scan" if topic in maps else "no map came"
             self.log.warning(f"the map on {self.resolved(topic)!r}: {what}")
         if not maps and not is_early:
-            raise SlamFusionError(f"no map came on {', '.join(self._stems) or '(no topic)'}")
+            raise SlamFusionError(f"no map came on {', '.join(self._stems)}")
         for topic, message in maps.items():
             stem = self._stems[topic]
             stem.parent.mkdir(parents=True, exist_ok=True)

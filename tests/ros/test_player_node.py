@@ -205,7 +205,10 @@ def test_it_plays_without_listeners_and_names_them_and_an_unknown_parameter(
         ({"file": "absent.log"}, "absent.log: no such file; check the path"),
         ({"file": "absent.log", "lockstep": True}, "lockstep needs to know whom to wait for"),
         ({"file": "absent.log", "rate": 0.0}, "rate"),
-        ({"file": "absent.log", "save": "/proc/none/here"}, "/proc/none"),
+        ({"file": "absent.log", "save": "/proc/none/here", "maps": "a/map"}, "/proc/none"),
+        ({"file": ""}, "name the log or bag with the parameter file"),
+        ({"file": "absent.log", "save": "."}, "save needs to know which maps: -p maps:="),
+        ({"file": "absent.log", "save": ".", "maps": "a/b/map,a_b/map"}, "two maps would have one"),
         ({"file": "absent.log", "wait_for": 5}, "wait_for: wanted a list of names, found 5"),
     ],
 )
