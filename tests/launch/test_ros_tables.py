@@ -11,7 +11,7 @@ import pytest
 
 pytest.importorskip("rclpy", reason="rclpy is absent: install the extra ros, or source a ROS")
 
-from rcl_interfaces.srv import ListParameters
+from rcl_interfaces.srv import DescribeParameters, ListParameters
 from rclpy.node import NodeNameNonExistentError
 from rclpy.parameter_client import AsyncParameterClient
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
@@ -163,6 +163,15 @@ def test_the_parameters_are_those_of_a_running_node(started: tuple[str, Observer
     starts = {START_NAME.replace("NAME", key) for key in PRODUCERS}
     assert found <= (wanted | starts if name == "fusion" else wanted)
     assert wanted - open_ones <= found
+    # Those that may be changed are listed below the table.
+    names = DescribeParameters.Request(names=sorted(wanted))
+    descriptors = listener.call(DescribeParameters, f"/{name}/describe_parameters", names)
+    free = {one.name for one in descriptors.descriptors if not one.read_only}
+    group = "producers" if name in PRODUCERS else name
+    text = (ROOT / "docs/reference/ros.md").read_text(encoding="utf-8")
+    listed = text.partition("while a node runs:")[2].partition(f"- {group}: ")[2]
+    told = {*re.findall("`([a-z_]+)`", listed.partition("\n\n")[0].partition("\n- ")[0])}
+    assert {key for key in free if not key.startswith("live.")} == told
 
 
 def test_a_running_node_takes_the_values_of_the_parameter_file(
