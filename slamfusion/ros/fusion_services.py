@@ -155,6 +155,7 @@ class FusionServices:
             write_tum(target.with_name(f"{target.name}.tum"), solution.path)
         where = str(written.resolve())
         node.log.info(f"the fused map is saved as {where!r}")
+        node.diagnostics.clear("refused")
         return where
 
     def _target(self, save_path: str, name: str) -> Path:

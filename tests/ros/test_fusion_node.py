@@ -270,6 +270,8 @@ def test_a_place_that_cannot_be_written_is_the_answer(
     answer = observer.call(Trigger, "save_map", Trigger.Request())
     assert answer.success
     assert load_map(answer.message).cells.size > 8000
+    observer.listen(1.5)  # shorter than a refusal is shown
+    assert "not saved" not in observer.statuses()[FUSION].message
     assert node.is_running
 
 
