@@ -6,6 +6,7 @@ import contextlib
 import importlib
 import json
 from collections.abc import Callable
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -14,6 +15,7 @@ from slamfusion.cli import options
 from slamfusion.cli.help import Choice, Group, Number
 from slamfusion.cli.node import import_rclpy
 from slamfusion.cli.output import Table, one_line, print_if_json, settings
+from slamfusion.cli.paths import stem_of
 from slamfusion.errors import SlamFusionError
 
 if TYPE_CHECKING:
@@ -109,7 +111,8 @@ def watch_command(client: Any) -> None:
 @_node_options
 def save_command(client: Any, path: str | None, image_format: str | None, mode: str | None) -> None:
     """Save the fused map to the node's save_path, or to --path in its folder."""
-    rules = {"path": path, "format": image_format, "mode": mode}
+    stem = path and str(stem_of(Path(path), {".yaml", ".yml", ".pgm", ".png", ".bmp"}))
+    rules = {"path": stem, "format": image_format, "mode": mode}
     given = {name: value for name, value in rules.items() if value is not None}
     _tell(client.save_as(**given) if given else client.call("save_map"))
 

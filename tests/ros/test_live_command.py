@@ -80,7 +80,7 @@ def test_a_running_fusion_answers(
     assert saved == {"success": True, "message": str(tmp_path / "lab.yaml")}
     assert (tmp_path / "lab.pgm").exists()
     other = str(tmp_path / "other")
-    saved = live("save", "--path", other, "--format", "bmp", "--mode", "raw")
+    saved = live("save", "--path", f"{other}.yaml", "--format", "bmp", "--mode", "raw")
     assert saved == {"success": True, "message": f"{other}.yaml"}
     assert np.array_equal(load_map(f"{other}.yaml").cells, load_map(tmp_path / "lab.yaml").cells)
     assert (tmp_path / "other.bmp").exists()
