@@ -335,7 +335,8 @@ def strip_picture(answer: Recommendation, colours: Mapping[str, Rgb]) -> Picture
     axes.margins(x=0.0)
     canvas.label_axes(axes, x="time since the start [s]")
     legend = {f"{PART_M:g} m or more from the recommended path": DISAGREEMENT_RGB}
-    caption = "Numbers and grey bands: the places to check."
+    marks = "Numbers and grey bands: the places to check."
+    caption = marks if answer.check else "There is no place to check."
     return Picture("who-was-off", figure, "Who was off when", caption, legend=legend)
 
 
