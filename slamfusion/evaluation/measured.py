@@ -77,6 +77,8 @@ _FIGURES = {
     "rpe_rotation_mean_deg": Figure("RPE mean [deg]"),
     "relations_mean_m": Figure("relations mean [m]", 4),
     "relations_rotation_mean_deg": Figure("relations mean [deg]"),
+    "truth_covered_share": Figure("truth covered, share", larger_is_better=None),
+    "relations_used_share": Figure("relations used, share", larger_is_better=None),
     "consistency": Figure("log-likelihood per hit, mean", 4, larger_is_better=True),
     "seen_share": Figure("seen again, share", larger_is_better=None),
     "distance_error_mean_m": Figure("distances mean [m]"),
@@ -202,8 +204,13 @@ class PathErrors:
                 "relations_mean_m": self.relations.translation,
                 "relations_rotation_mean_deg": self.relations.rotation_deg,
             }
-        first = {} if self.truth is None else {"ate_rmse_m": self.truth.ate.rmse}
-        return first | {name: own.mean for name, own in statistics.items() if own is not None}
+        found = {} if self.truth is None else {"ate_rmse_m": self.truth.ate.rmse}
+        found |= {name: own.mean for name, own in statistics.items() if own is not None}
+        if self.truth is not None:
+            found["truth_covered_share"] = self.truth.covered_share
+        if (known := self.relations) is not None:
+            found["relations_used_share"] = known.relations_used / known.relations_total
+        return found
 
     def series(self) -> dict[str, F64]:
         """Return the single errors by name, for ``result_rows``."""
@@ -263,7 +270,8 @@ class PathErrors:
             aligned = "aligned" if truth.alignment.kind == "se2" else "not aligned"
             notes.append(
                 f"{truth.poses_matched} of {truth.poses} poses met one of {truth.truth} within "
-                f"{truth.tolerance_s:g} s, {aligned}; {truth.rpe_pairs} pairs"
+                f"{truth.tolerance_s:g} s and cover {truth.covered_share:.0%} of its time, "
+                f"{aligned}; {truth.rpe_pairs} pairs"
             )
             if truth.time_offset_s:
                 notes.append(f"{truth.time_offset_s:.4f} s added to the times of {truth.truth}")

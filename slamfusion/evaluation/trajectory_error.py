@@ -195,6 +195,8 @@ class TrajectoryErrors:
     """Poses of the path."""
     poses_matched: int
     """Poses of the path that met a true one in time."""
+    covered_share: float = field(repr=False)
+    """Share of the truth's time from the first pose that met one to the last."""
     tolerance_s: float
     """Poses further apart in time than this do not meet, seconds."""
     time_offset_s: float = field(repr=False)
@@ -272,6 +274,7 @@ def trajectory_errors(
         alignment=TrajectoryAlignment(config.alignment, motion),
         poses=len(estimate),
         poses_matched=len(own),
+        covered_share=float(np.ptp(truth.stamps_s[true]) / np.ptp(truth.stamps_s)),
         tolerance_s=config.tolerance_s,
         time_offset_s=float(truth.stamps_s[0] - began_s),
         name=estimate.name,

@@ -66,6 +66,21 @@ def test_odometry_lets_every_relation_count(
     assert document["poses"] == 4
 
 
+def test_a_path_of_a_part_of_the_drive_shows_how_much_it_covers(files: dict[str, Path]) -> None:
+    part, asked = tum(files["truth"].with_name("part.tum"), TRUTH[:2]), options(files, "truth")
+    assert "2 of 2 poses met one of true within 0.01 s and cover 33% of its time" in (
+        run("trajectory", part, *asked).stdout
+    )
+    both = run("trajectory", part, files["estimate"], *asked, *options(files, "relations"))
+    heads, *rows = (line.split("\t") for line in both.stdout.splitlines() if "\t" in line)
+    shares = {row[1]: dict(zip(heads, row, strict=True)) for row in rows}
+    for column, *wanted in (
+        ("truth covered", "0.333", "1.000"),
+        ("relations used", "0.333", "0.667"),
+    ):
+        assert [shares[name][f"{column}, share"] for name in ("part", "slam")] == wanted
+
+
 def test_a_folder_without_a_path_is_named_with_what_it_holds(tmp_path: Path) -> None:
     truth = tum(tmp_path / "true.tum", TRUTH)
     (tmp_path / "run").mkdir()
