@@ -36,6 +36,8 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 # Its import says what to install.
 REPORT = "slamfusion.report"
+# Each seed is a run of its own, of seconds at least.
+SEEDS_MAX = 10_000
 # What help calls a value, by its unit or else its type.
 METAVARS = {"%": "PERCENT", "cells": "CELLS", "str": "TEXT", "int": "N", "float": "NUMBER"}
 
@@ -321,6 +323,8 @@ def seeds(places: str) -> Callable[[F], F]:
             ends = (first, last) if dash else (first, first)
             if not all(end.strip().isdecimal() for end in ends) or int(ends[1]) < int(ends[0]):
                 raise click.BadParameter(f"wanted seeds like 0-9 or 1,2,5, found {text!r}")
+            if (count := int(ends[1]) - int(ends[0]) + 1) > SEEDS_MAX:
+                raise click.BadParameter(f"wanted at most {SEEDS_MAX} seeds, found {count}")
             found |= dict.fromkeys(range(int(ends[0]), int(ends[1]) + 1))
         return tuple(found)
 

@@ -106,6 +106,7 @@ def test_the_list_of_commands_says_what_their_help_says() -> None:
         ("run d.log -o out --odometry d.log", "needs --relations FILE"),
         ("run a.log -o out --seeds 3:5", "wanted seeds like 0-9 or 1,2,5"),
         ("slam graph a.log -o out --seeds 5-1", "wanted seeds like 0-9 or 1,2,5, found '5-1'"),
+        ("run a.log -o out --seeds 0-999999999999", "at most 10000 seeds, found 1000000000000"),
         ("run a.log -o out --scheduler local", "--scheduler is for several logs"),
         ("run a.log b.log -o out --truth x", "--truth belongs to one log"),
         ("run a.log b.log -o out --relations x", "--relations belongs to one log"),
