@@ -101,7 +101,7 @@ def wrong_resolution(
         scale, alignment = search.best(reference, search.gains(reference))
         if alignment.accepted and abs(scale - 1.0) >= SCALE_MAX:
             return (
-                f"{moving.name}: its resolution should be {moving.resolution * scale:.3g} m, "
+                f"its resolution should be {moving.resolution * scale:.3g} m, "
                 f"it says {moving.resolution:.3g} m (if that of {reference.name} is right)"
             )
     return None

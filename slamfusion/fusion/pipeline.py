@@ -109,7 +109,8 @@ def align_inputs(
         wrong = _wrong_resolutions(whole, config, device, second_look)
         if not wrong:
             raise
-        raise AlignmentError(f"{error}; {'; '.join(wrong.values())}", error.pairs) from error
+        words = "; ".join(f"{name}: {why}" for name, why in wrong.items())
+        raise AlignmentError(f"{error}; {words}", error.pairs) from error
     finally:
         prepared.release()
     reasons |= {name: reason for name, (reason, _) in group.left_out.items()}

@@ -19,6 +19,7 @@ from slamfusion.grid import OccupancyGrid
 from slamfusion.io.map_server import load_map
 from slamfusion.jobs.align import align_maps, align_plan
 from slamfusion.jobs.fuse import fuse_maps
+from slamfusion.jobs.fuse_documents import left_out_sentences
 from tests.fusion.drawings import building
 from tests.support.cuts import along, kept, move_frame
 from tests.support.datasets import ABSENT
@@ -114,14 +115,14 @@ def test_a_wrong_resolution_is_named_with_the_right_one(device: ComputeDevice, s
     wrong = replace(c, resolution=said)
     found = align_maps(a, wrong, device=device)
     assert found.decision == "other scale"
-    number = re.match("c: its resolution should be (.*) m, it says (.*) m", found.reason)
+    number = re.match("its resolution should be (.*) m, it says (.*) m", found.reason)
     assert number is not None, found.reason
     assert float(number[1]) == pytest.approx(0.05, rel=0.005)
     assert float(number[2]) == said
     if said < 0.05:
         return
     fused = fuse_maps([a, b, wrong], device=device)
-    (left_out,) = [item for item in fused.result.inputs if not item.accepted]
-    assert "c: its resolution should be 0.05" in left_out.reason
+    (left_out,) = left_out_sentences(fused.result)
+    assert left_out.startswith("rejected: c: its resolution should be 0.05")
     with pytest.raises(AlignmentError, match=r"c: its resolution should be 0\.05"):
         fuse_maps([a, wrong], device=device)
