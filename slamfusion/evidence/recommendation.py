@@ -180,7 +180,12 @@ class Recommendation:
 
     def lines(self) -> list[tuple[str, str]]:
         """Return what stands below the headline, each a subject and its text."""
-        alone = [("Single SLAM:", self.best_single)] if self.best_single else []
+        why = (
+            ", the nearest to the fused path"
+            if any(path.from_fused_m for path in self.paths)
+            else ""
+        )
+        alone = [("Single SLAM:", self.best_single + why)] if self.best_single else []
         laser = [("Laser:", self.laser_fault)] if self.laser_fault else []
         return laser + alone + [("Check:", str(place)) for place in self.check]
 

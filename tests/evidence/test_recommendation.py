@@ -45,6 +45,7 @@ def test_the_fused_path_is_the_answer_and_the_slam_nearest_to_it(
 ):
     answer = answer_of(score_paths(scans, PATHS, device), "fused")
     assert (answer.path, answer.best_single) == ("fused", "close")
+    assert answer.lines()[0] == ("Single SLAM:", "close, the nearest to the fused path")
     assert [path.name for path in answer.paths][:2] == ["fused", "close"]
     away_m = {path.name: path.from_fused_m for path in answer.paths}
     # A quarter of the poses moved by 0.02 m, but for their mean that is aligned away.
@@ -64,6 +65,7 @@ def test_without_a_fused_path_the_scans_choose(
     evidence = score_paths(scans, {"bent": BENT, "close": CLOSE}, device)
     answer = answer_of(evidence, fused)
     assert (answer.path, answer.best_single) == ("close", "close")
+    assert answer.lines()[0] == ("Single SLAM:", "close")
     assert {path.from_fused_m for path in answer.paths} == {None}
 
 
