@@ -7,10 +7,12 @@ from pathlib import Path
 import pytest
 
 from slamfusion.compute import NumpyDevice
+from slamfusion.config import RunConfig
 from slamfusion.errors import LogError, SlamFusionError
 from slamfusion.io import load_map
 from slamfusion.jobs.map_log import map_log, save_mapped_log
 from slamfusion.json_values import plain
+from slamfusion.slam.registry import with_settings
 from tests.cli.command import tree
 from tests.support.documents import check_document
 
@@ -47,6 +49,12 @@ def test_a_log_is_mapped_measured_saved_and_gone_on_with(place: Path, tmp_path: 
     assert saved.result.map_error is not None
     assert (tmp_path / "report" / "report.html").exists()
     assert load_map(tmp_path / "end" / "map.yaml").cells.shape == ended.grid.cells.shape
+
+
+def test_a_map_without_a_known_cell_is_a_doubt(place: Path) -> None:
+    config = with_settings(RunConfig(), "graph", min_pass_through=1000)
+    mapped = map_log(place / "flat.log", "graph", config, limit=3)
+    assert any("no cell of its map is known" in sentence for sentence in mapped.notices())
 
 
 def test_what_cannot_be_mapped_is_an_error(place: Path, tmp_path: Path) -> None:

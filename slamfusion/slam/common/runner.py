@@ -16,7 +16,7 @@ import numpy as np
 
 from slamfusion.errors import SlamFusionError
 from slamfusion.geometry import F64
-from slamfusion.grid import OccupancyGrid
+from slamfusion.grid import UNKNOWN, OccupancyGrid
 from slamfusion.io.log import LogRecord, LogScan, ScanLog
 from slamfusion.slam.common.mapper import ClosesLoops, Closure, Health, Mapper, Series
 from slamfusion.slam.common.odometry_check import contradictions
@@ -156,8 +156,9 @@ class ProducerRun:
         return next((path for path in self.other_paths if path.name == FIRST_REPORTED), None)
 
     def _contradictions(self) -> tuple[str, ...]:
-        sentences = []
-        health = self.health
+        sentences, health = [], self.health
+        if (self.grid.cells == UNKNOWN).all():
+            sentences.append("no cell of its map is known; check the settings of its cells")
         is_often_low = health.low_scores > MANY_LOW_SHARE * health.scans_used
         if is_often_low or self.low_scores_in_a_row >= MANY_LOW_IN_A_ROW:
             share = 100.0 * health.low_scores / health.scans_used
