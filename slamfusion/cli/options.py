@@ -142,10 +142,17 @@ _LIKE_PAPER = click.option(
 
 
 def report(parameter: str, folders: paths.Files = lambda folder, _: [folder]) -> Callable[[F], F]:
-    """Return the option ``--report`` of a command that can write one."""
+    """Return the option ``--report`` of a command that can write one; ``--pictures`` needs it."""
+
+    def needed(context: click.Context, _: click.Parameter, folder: Path | None) -> Path | None:
+        is_asked = folder is None and context.params.get("config_report_pictures")
+        refuse(is_asked, "--pictures needs --report DIR, where they are written")
+        return folder
+
     return output(
         "--report",
         parameter,
+        callback=needed,
         files=lambda path, given: [
             file for folder in folders(path, given) for file in possible_report(folder)
         ],

@@ -117,6 +117,8 @@ def test_the_list_of_commands_says_what_their_help_says() -> None:
         ("trajectory a.tum", "--relations FILE, --truth FILE, or both"),
         ("trajectory a.tum --odometry x --truth x", "needs --relations FILE"),
         ("trajectory a.tum --map x --truth x", "needs --report DIR"),
+        ("trajectory a.tum --truth x --pictures svg", "--pictures needs --report DIR"),
+        ("fuse a.yaml b.yaml -o x --pictures svg", "--pictures needs --report DIR"),
         ("align a b --scale 2:1", "wanted free, or metres per pixel as LOW:HIGH"),
         ("align a b --scale free --start 1,2,0", "--scale searches everywhere; leave --start out"),
         ("align a b -o placed", "-o and --scale belong together; give both or neither"),
