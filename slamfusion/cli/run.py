@@ -16,7 +16,7 @@ from slamfusion.cli import options, output, results, tables
 from slamfusion.cli.help import Command
 from slamfusion.cli.paths import CASE_FILE, FILE, MAP
 from slamfusion.config import RunConfig
-from slamfusion.errors import SlamFusionError
+from slamfusion.errors import ConfigError, SlamFusionError
 from slamfusion.fleet import executor_for
 from slamfusion.io.lines import MAP_SUFFIXES
 from slamfusion.jobs.cases import case_of
@@ -167,6 +167,15 @@ def command(
     # The import takes longer than the look: it is made while the producers are at work.
     if importlib.util.find_spec("matplotlib") is None:
         import slamfusion.report  # noqa: F401, PLC0415  (says what to install)
+    message = "--paths needs --inputs MAP, the map of each path"
+    options.refuse(asked["saved_paths"] and not asked["saved_maps"], message)
+    if click.get_current_context().params["config_run_producers"]:
+        from slamfusion.slam.registry import check_names  # noqa: PLC0415  (loads slowly)
+
+        try:
+            check_names(config.run.producers)
+        except ConfigError as error:
+            raise click.BadParameter(str(error), param_hint="'--producers'") from None
     if len(logs) == 1:
         options.check_odometry(asked["odometry"], asked["relations"])
     with options.start_errors(starts):

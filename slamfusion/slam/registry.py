@@ -10,7 +10,7 @@ from __future__ import annotations
 import logging
 import os
 import pkgutil
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from pathlib import Path
@@ -133,6 +133,17 @@ def other_producers() -> Mapping[str, EntryPoint]:
 def producer_names() -> tuple[str, ...]:
     """Return the names of all producers: those built in, then those of other packages."""
     return (*BUILT_IN, *sorted(other_producers()))
+
+
+def check_names(names: Sequence[str]) -> None:
+    """Refuse no producer, an unknown one, or one given twice."""
+    known = producer_names()
+    for name in names:
+        if name not in known:
+            raise ConfigError(f"the SLAM {unknown(name, known)}")
+    if not names or len(set(names)) < len(names):
+        found = ", ".join(names) or "none"
+        raise ConfigError(f"wanted some of {', '.join(known)}, each once, found {found}")
 
 
 def producer(name: str) -> Producer:

@@ -24,16 +24,16 @@ from typing import Any
 
 from slamfusion.config import RunConfig
 from slamfusion.cores import GC_OBJECTS, usable_cores
-from slamfusion.errors import ConfigError, SlamFusionError, unknown
+from slamfusion.errors import SlamFusionError
 from slamfusion.fleet import interrupts_held, threads_limited
 from slamfusion.io.log import ScanLog
 from slamfusion.io.logs import open_log
 from slamfusion.slam.common.runner import ProducerRun, run_producer
 from slamfusion.slam.registry import (
+    check_names,
     make_producer,
     open_producer_device,
     producer,
-    producer_names,
     with_producers,
 )
 
@@ -93,7 +93,7 @@ class SideBySide:
     def __init__(
         self, names: Sequence[str], log: Path, config: RunConfig, scan_odometry: Path | None = None
     ) -> None:
-        _check_names(names)
+        check_names(names)
         self.config = config = with_producers(config, names)
         self.source = open_log(log, config.log, scan_odometry)
         self._names = tuple(names)
@@ -174,16 +174,6 @@ def _sealed(run: ProducerRun) -> ProducerRun:
         odometry=None if run.odometry is None else replace(run.odometry),
         other_paths=tuple(replace(path) for path in run.other_paths),
     )
-
-
-def _check_names(names: Sequence[str]) -> None:
-    known = producer_names()
-    for name in names:
-        if name not in known:
-            raise ConfigError(f"the SLAM {unknown(name, known)}")
-    if not names or len(set(names)) < len(names):
-        found = ", ".join(names) or "none"
-        raise ConfigError(f"wanted some of {', '.join(known)}, each once, found {found}")
 
 
 def _start(name: str, arguments: tuple[Any, ...], threads: int) -> _Job:

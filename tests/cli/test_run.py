@@ -150,7 +150,7 @@ def test_the_bar_of_the_whole_run_ends_at_100_percent(
 @pytest.mark.parametrize(
     ("arguments", "code", "word"),
     [
-        (("--producers", "tinyslam,grph"), 1, "did you mean 'graph'?"),
+        (("--producers", "tinyslam,grph"), 2, "did you mean 'graph'?"),
         (("-o", "flat.log"), 2, "is not a folder"),
         (("--inputs", "absent.yaml"), 1, "absent.yaml"),
         (("--truth", "absent.yaml"), 1, "absent.yaml"),
