@@ -7,6 +7,7 @@ failure of PyYAML is one error.
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,18 @@ from slamfusion.io.files import read_small
 # 1 MiB of measured distances is 90 000 values; settings and courses have some hundred.
 VALUES_MAX = 100_000
 DEPTH_MAX = 50
+
+
+class _Loader(yaml.SafeLoader):
+    """PyYAML's, with the numbers of YAML 1.2 and JSON that have an exponent alone: ``1e-1``."""
+
+
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:float",
+    re.compile(r"[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$"),
+    list("-+.0123456789"),
+)
+
 _TOO_DEEP = f"more than {DEPTH_MAX} levels of nesting"
 
 
@@ -28,7 +41,7 @@ def read_yaml(
     """Return the values of a YAML file; None (as text: empty) if it is empty."""
     data = read_small(Path(path), error, what)
     try:
-        loader = (yaml.BaseLoader if as_text else yaml.SafeLoader)(data.decode("utf-8-sig"))
+        loader = (yaml.BaseLoader if as_text else _Loader)(data.decode("utf-8-sig"))
         node = loader.get_single_node()
         if node is None:
             return None

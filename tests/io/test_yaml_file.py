@@ -89,3 +89,9 @@ def test_texts_stay_as_they_are_written(tmp_path: Path) -> None:
     path.write_text("a: 1e-3\nb: 2001-99-99\nc: yes\n", encoding="utf-8")
     texts = {"a": "1e-3", "b": "2001-99-99", "c": "yes"}
     assert read_yaml(path, ConfigError, "settings", as_text=True) == texts
+
+
+def test_numbers_may_have_an_exponent_alone(tmp_path: Path) -> None:
+    path = tmp_path / "a.yaml"
+    path.write_text("[1e-1, -2E3, .5e+1, 1.5e3, 3e5m, e5]", encoding="utf-8")
+    assert read_yaml(path, ConfigError, "settings") == [0.1, -2e3, 5.0, 1.5e3, "3e5m", "e5"]
