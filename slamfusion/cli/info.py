@@ -11,7 +11,7 @@ import click
 from slamfusion import jobs
 from slamfusion.cli import options
 from slamfusion.cli.help import Command
-from slamfusion.cli.output import Table, print_if_json, progress_bar, say
+from slamfusion.cli.output import NOTHING, Table, print_if_json, progress_bar, say
 from slamfusion.cli.paths import FILE
 from slamfusion.config import RunConfig
 
@@ -54,4 +54,4 @@ def _row(name: str, value: Any) -> list[str]:
         value = f"{value:.4g}"
     if isinstance(value, (list, tuple)):
         value = "; ".join(map(str, value))
-    return [name.replace("_", " "), "none" if value is None else str(value)]
+    return [name.replace("_", " "), NOTHING if value is None else str(value)]

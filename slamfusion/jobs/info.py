@@ -18,7 +18,7 @@ from slamfusion.evidence.recommendation import Recommendation
 from slamfusion.grid import OCCUPIED, UNKNOWN
 from slamfusion.io.bags import METADATA
 from slamfusion.io.lines import MAP_SUFFIXES, strip_gz
-from slamfusion.io.log import BACK, EQUAL, STRAY
+from slamfusion.io.log import AHEAD_S, BACK, EQUAL, STRAY
 from slamfusion.io.logs import bag_at, is_bag_folder, open_log
 from slamfusion.jobs.inputs import Progress, load_maps, map_file
 from slamfusion.jobs.outputs import RUN_RECORD
@@ -40,7 +40,7 @@ class LogInfo:
     duration_s: float
     """From the first to the last, seconds."""
     rate_hz: float | None
-    """Scans per second, by the median time between two; null for one scan."""
+    """Scans per second, by the median time between two; null for one scan or unusable stamps."""
     gaps: int
     """Pauses of more than five times that."""
     longest_gap_s: float
@@ -56,8 +56,9 @@ class LogInfo:
     """Share of the beams that hit something, percent."""
     odometry_m: float | None
     """Length of the path by odometry, metres; null: the log has none."""
-    out_of_order: int
-    """Scans that are left out: their stamp is not later than the one before, or far ahead."""
+    out_of_order: int | None
+    """Scans that are left out: their stamp is not later than the one before, or far ahead; null:
+    the stamps cannot be used."""
     deskewed: int
     """Scans whose beams are moved to the stamp of the scan."""
     topics: Sequence[str]
@@ -172,6 +173,7 @@ def _log_info(path: Path, config: RunConfig, progress: Progress) -> InfoDocument
     has_pose = np.isfinite(odometry[0])
     steps_s, moves_m = np.diff(stamps_s), np.diff([axis[has_pose] for axis in odometry])
     period_s = float(np.median(steps_s)) if len(steps_s) else math.nan
+    left_out = sum(log.skips.counts.get(reason, 0) for reason in (BACK, EQUAL, STRAY))
     # Each of our own SLAMs has a process, the longest first.
     free_s = [0.0] * min(usable_cores(), len(BUILT_IN))
     for cost in sorted((producer(name).cost for name in BUILT_IN), reverse=True):
@@ -179,7 +181,7 @@ def _log_info(path: Path, config: RunConfig, progress: Progress) -> InfoDocument
     found = LogInfo(
         scans=len(rows),
         duration_s=float(stamps_s[-1] - stamps_s[0]),
-        rate_hz=1.0 / period_s if period_s > 0.0 else None,
+        rate_hz=1.0 / period_s if period_s > 0.0 and log.has_stamps else None,
         gaps=int((steps_s > GAP_PERIODS * period_s).sum()),
         longest_gap_s=float(steps_s.max(initial=0.0)),
         beams=", ".join(str(int(count)) for count in np.unique(beams)),
@@ -187,7 +189,7 @@ def _log_info(path: Path, config: RunConfig, progress: Progress) -> InfoDocument
         range_max_m=scan.range_max_m,
         returns_percent=100.0 * float(hits.sum() / beams.sum()),
         odometry_m=float(np.hypot(*moves_m).sum()) if has_pose.any() else None,
-        out_of_order=sum(log.skips.counts.get(reason, 0) for reason in (BACK, EQUAL, STRAY)),
+        out_of_order=left_out if log.has_stamps else None,
         deskewed=log.deskewing.scans,
         topics=topics,
         frames=frames,
@@ -196,6 +198,8 @@ def _log_info(path: Path, config: RunConfig, progress: Progress) -> InfoDocument
     )
     if not hits.any():
         remarks.append("no beam of it hits anything: no SLAM can map it")
+    if period_s > AHEAD_S:
+        remarks.append(f"the scans are {period_s:.4g} s apart: are their stamps in seconds?")
     remarks += [f"left out: {text}" for text in log.skips.sentences()]
     remarks += [f"odd: {text}" for text in log.warnings.sentences()]
     remarks += [*log.deskewing.sentences(), *log.notes]

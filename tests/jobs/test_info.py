@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -65,6 +66,31 @@ def test_stamps_out_of_order_are_counted(tmp_path: Path) -> None:
     assert (found.scans, found.out_of_order) == (20, 1)
     assert 8.0 < found.run_time_s < 9.0
     assert found.run_memory_mb > 100.0
+
+
+@pytest.mark.parametrize(
+    ("stamp_s", "rate_hz", "out_of_order", "remark"),
+    [
+        (lambda _: 5.0, None, None, "39 of 40 are not later than one before"),
+        (lambda step: 1e3 * step, 0.001, 0, "scans are 1000 s apart: are their stamps in seconds?"),
+    ],
+)
+def test_stamps_that_cannot_be_right_are_named(
+    tmp_path: Path,
+    stamp_s: Callable[[int], float],
+    rate_hz: float | None,
+    out_of_order: int | None,
+    remark: str,
+) -> None:
+    scans = [
+        replace(item, scan=replace(item.scan, stamp_s=stamp_s(step)))
+        for step, item in enumerate(drive(40)[0])
+    ]
+    write_carmen(tmp_path / "drive.log", scans)
+    found = describe(tmp_path / "drive.log")
+    assert found.log is not None
+    assert (found.log.rate_hz, found.log.out_of_order) == (rate_hz, out_of_order)
+    assert any(remark in sentence for sentence in found.remarks)
 
 
 def test_a_bag_has_the_frames_of_its_laser_and_transforms(tmp_path: Path) -> None:
