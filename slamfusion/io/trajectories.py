@@ -176,10 +176,13 @@ def _rows(where: Path, first: list[bytes], columns: Columns | None) -> Iterator[
             count = f"{len(first)} column{'s' if len(first) > 1 else ''}"
             causes = dict.fromkeys((_PLANAR, _TUM), ", the first of them no time")
             cause = (causes | {_KITTI: " as in KITTI, without a time"}).get(len(first), "")
-            shown = printable(b" ".join(first))
+            lines = (line.strip() for _, line in text_lines(where, TrajectoryError))
+            line = next(line for line in lines if _fields(line) == first)
+            if re.search(rb"\d,\d+[\s;]", line):
+                cause = ", with decimal commas where points are wanted"
             raise TrajectoryError(
-                f"{where}: wanted {_WANTED}, found {count}{cause}: {shown!r} in the first line; "
-                "check the file"
+                f"{where}: wanted {_WANTED}, found {count}{cause}: {printable(line)!r} in the "
+                "first line; check the file"
             )
         columns = [(i, None) for i in range(len(first))]
     last = -math.inf

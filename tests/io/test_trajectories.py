@@ -129,6 +129,11 @@ def test_a_vertex_of_three_digits_takes_the_pose_of_its_scan(tmp_path: Path) -> 
         ([], "found no pose at all"),
         (["# only a comment"], "found no pose at all"),
         (["1 2 3"], "found 3 columns: '1 2 3'"),
+        (
+            ["0,5 1,0 2,0 0,1"],
+            "found 5 columns, with decimal commas where points are wanted: '0,5 1",
+        ),
+        (["0,5;1,0;2,0;0,1"], "with decimal commas where points are wanted: '0,5;1,0;2,0;0,1'"),
         (["hello world, this is text"], "found 2 columns: 'hello"),
         (["VERTEX_SE2 0 0 0 0"], "found 5 columns: 'VERTEX_SE2"),
         (["a b c d"], "found 4 columns, the first of them no time: 'a b c d'"),
