@@ -103,7 +103,7 @@ def test_every_field_says_what_it_is(config_class: type[Any]) -> None:
         ([1], "run.yaml: wanted a mapping of settings, found list"),
         (
             {"fusion": {"normalize": {"free_percent": 70}}},
-            "free_percent (70) must be below occupied_percent (65); swap them",
+            "free_percent (70) must be below occupied_percent (65); change one of them",
         ),
         ({"start": [1, 2, 3]}, "run.yaml: start: wanted names of inputs with x,y,yaw or"),
         ({"start": {"a": {"x": 1}}}, "run.yaml: start: a: wanted x,y,yaw or x,y,yaw,metres,rad"),

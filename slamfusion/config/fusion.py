@@ -38,7 +38,7 @@ class NormalizeConfig(Checked):
         if self.free_percent >= self.occupied_percent:
             raise ConfigError(
                 f"free_percent ({self.free_percent:g}) must be below "
-                f"occupied_percent ({self.occupied_percent:g}); swap them"
+                f"occupied_percent ({self.occupied_percent:g}); change one of them"
             )
 
 
