@@ -21,6 +21,11 @@ def shown(value: Any) -> str:
     return _SHORT.repr(value)
 
 
+def counted(count: int, noun: str) -> str:
+    """Return a number of things: ``1 pose``, ``2 poses``."""
+    return f"{count} {noun}{'s' * (count != 1)}"
+
+
 def unknown(value: str, known: Iterable[str]) -> str:
     """Return a message for an unknown word, with the nearest known one."""
     words = list(known)

@@ -12,6 +12,7 @@ import click
 
 from slamfusion import evaluation, jobs
 from slamfusion.cli import options, output
+from slamfusion.errors import counted
 from slamfusion.io.files import AtomicFiles
 from slamfusion.jobs.records import Summaries, number, spread
 from slamfusion.json_values import plain
@@ -63,7 +64,7 @@ def print_items(rows: Sequence[evaluation.measured.Row], what: str, leading: Seq
     figures = jobs.results.figures_of(jobs.results.results_table(rows))
     found = jobs.results.summaries(rows)
     in_cases = figures.index.unique("case").size
-    count = f"{len(figures)} results in {in_cases} case{'s' * (in_cases != 1)}"
+    count = f"{counted(len(figures), 'result')} in {counted(in_cases, 'case')}"
     means: list[Item] = [
         ((f"mean of {own['cases']}", "", own["method"]), own["figures"])
         for own in found.means

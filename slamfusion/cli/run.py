@@ -16,7 +16,7 @@ from slamfusion.cli import options, output, results, tables
 from slamfusion.cli.help import Command
 from slamfusion.cli.paths import CASE_FILE, FILE, MAP
 from slamfusion.config import RunConfig
-from slamfusion.errors import ConfigError, SlamFusionError
+from slamfusion.errors import ConfigError, SlamFusionError, counted
 from slamfusion.fleet import executor_for
 from slamfusion.io.lines import MAP_SUFFIXES
 from slamfusion.jobs.cases import case_of
@@ -235,8 +235,7 @@ def _print(run: jobs.run_files.LogRun) -> None:
         for sentence in warnings:
             output.notice(sentence)
     elif warnings:
-        count = f"{len(warnings)} warning{'s' * (len(warnings) > 1)}"
-        output.notice(f"{count} in the report; --verbose prints them")
+        output.notice(f"{counted(len(warnings), 'warning')} in the report; --verbose prints them")
     output.print_if_json(run)
 
 
@@ -388,7 +387,7 @@ def _print_logs(runs: Sequence[jobs.run_many.RunOfLog], out: Path) -> None:
             for run in runs
         ],
         notes=["" if run.error is None else f"NO FUSED MAP: {run.error}" for run in runs],
-        title=f"{len(runs)} runs",
+        title=counted(len(runs), "run"),
     ).print()
     if any(run.fused is not None for run in runs):
         output.print_facts(

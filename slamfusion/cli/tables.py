@@ -12,6 +12,7 @@ import click
 
 from slamfusion import evaluation, jobs
 from slamfusion.cli.output import Table, is_verbose, notice, say, wrapped
+from slamfusion.errors import counted
 from slamfusion.jobs.records import number
 
 if TYPE_CHECKING:
@@ -181,7 +182,7 @@ def print_measures(estimate: Trajectory, measures: evaluation.measured.Measures)
         if own is not None
         for kind, errors, digits in own.kinds()
     ]
-    title = f"{estimate.name}: {len(estimate)} poses, {estimate.path_length_m():.1f} m"
+    title = f"{estimate.name}: {counted(len(estimate), 'pose')}, {estimate.path_length_m():.1f} m"
     Table(("error ", *figures), rows, title=title).print()
     for note in measures.how_counted():
         say(note)

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from slamfusion.config import RunConfig, TrajectoryConfig
+from slamfusion.errors import counted
 from slamfusion.evaluation.odometry import DensePoses, poses_by_odometry
 from slamfusion.evaluation.relations import (
     RelationErrors,
@@ -271,7 +272,7 @@ class PathErrors:
             notes.append(
                 f"{truth.poses_matched} of {truth.poses} poses met one of {truth.truth} within "
                 f"{truth.tolerance_s:g} s and cover {truth.covered_share:.0%} of its time, "
-                f"{aligned}; {truth.rpe_pairs} pairs"
+                f"{aligned}; {counted(truth.rpe_pairs, 'pair')}"
             )
             if truth.time_offset_s:
                 notes.append(f"{truth.time_offset_s:.4f} s added to the times of {truth.truth}")

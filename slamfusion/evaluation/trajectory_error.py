@@ -14,7 +14,7 @@ import numpy as np
 import scipy
 
 from slamfusion.config import TrajectoryConfig
-from slamfusion.errors import TrajectoryError
+from slamfusion.errors import TrajectoryError, counted
 from slamfusion.evaluation.statistics import ErrorStatistics
 from slamfusion.geometry import (
     F64,
@@ -311,7 +311,7 @@ def _pairs(progress: F64, delta: float) -> tuple[I64, I64]:
 
 def _no_match(estimate: Trajectory, truth: Trajectory, met: int, tolerance_s: float) -> str:
     ranges = [
-        f"{item.name} has {len(item)} poses from {item.stamps_s[0]:.3f} to "
+        f"{item.name} has {counted(len(item), 'pose')} from {item.stamps_s[0]:.3f} to "
         f"{item.stamps_s[-1]:.3f} s"
         for item in (estimate, truth)
     ]

@@ -14,7 +14,7 @@ from functools import cached_property
 
 import numpy as np
 
-from slamfusion.errors import LogError, TrajectoryError
+from slamfusion.errors import LogError, TrajectoryError, counted
 from slamfusion.geometry import (
     B8,
     F64,
@@ -133,8 +133,8 @@ def judged_hits(scans: Iterable[ScanHits], most_hits: int = MOST_HITS) -> Judged
             step, count = 2 * step, sum(map(len, kept))
     if len(kept) < CHUNKS:
         raise LogError(
-            f"{len(kept)} scans hit something, but paths are scored on at least {CHUNKS}; give "
-            "a longer log"
+            f"{counted(len(kept), 'scan')} hit something, but paths are scored on at least "
+            f"{CHUNKS}; give a longer log"
         )
     hits = np.concatenate(kept)
     stamps_s = np.array(stamps)

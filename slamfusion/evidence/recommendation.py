@@ -20,6 +20,7 @@ from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
+from slamfusion.errors import counted
 from slamfusion.evidence.beams import CHUNKS
 from slamfusion.evidence.displacement import CONTRADICTED, contradicted_share, find_displacements
 from slamfusion.evidence.parting import PART_M, Span, path_gap_m, path_spans
@@ -172,8 +173,7 @@ class Recommendation:
         if self.confidence == "low":
             return f"Do not trust {what}: the scans contradict it"
         if self.confidence == "medium":
-            places = "1 place" if len(self.check) == 1 else f"{len(self.check)} places"
-            return f"Use {what}, but check {places} first"
+            return f"Use {what}, but check {counted(len(self.check), 'place')} first"
         if self.confidence == "high":
             return f"Use {what}: no scan contradicts it"
         return f"Use {what}; the scans could not confirm it"

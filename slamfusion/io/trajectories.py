@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from slamfusion.config import YAW_MOST_RAD, LogConfig
-from slamfusion.errors import TrajectoryError
+from slamfusion.errors import TrajectoryError, counted
 from slamfusion.geometry import F64, quaternion_yaw_rad, wrap_angle
 from slamfusion.io.bags import METADATA
 from slamfusion.io.carmen import CARMEN_WORDS
@@ -173,7 +173,7 @@ def _rows(where: Path, first: list[bytes], columns: Columns | None) -> Iterator[
     """Yield t, x, y and yaw, or the 8 values of a TUM file, of every line."""
     if columns is None:
         if len(first) not in {_PLANAR, _TUM} or not _is_number(first[0]):
-            count = f"{len(first)} column{'s' if len(first) > 1 else ''}"
+            count = counted(len(first), "column")
             causes = dict.fromkeys((_PLANAR, _TUM), ", the first of them no time")
             cause = (causes | {_KITTI: " as in KITTI, without a time"}).get(len(first), "")
             lines = (line.strip() for _, line in text_lines(where, TrajectoryError))

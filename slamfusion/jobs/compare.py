@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy.stats
 
-from slamfusion.errors import SlamFusionError
+from slamfusion.errors import SlamFusionError, counted
 from slamfusion.evaluation.measured import figure_of
 from slamfusion.evaluation.statistics import correct_by_holm
 from slamfusion.io import write_atomic
@@ -201,10 +201,10 @@ def _pairing(first: SavedResults, second: SavedResults, keys: Sequence[str], row
     has_seeds = any((table["seed"] != "").any() for table in tables)
     shown = [key for key in keys if key != "seed" or has_seeds]
     same = " and ".join(filter(None, [", ".join(shown[:-1]), shown[-1]]))
-    sentence = f"{len(rows[0])} pair{'s' * (len(rows[0]) != 1)} of the same {same}"
+    sentence = f"{counted(len(rows[0]), 'pair')} of the same {same}"
     cases = rows[0].index.get_level_values("case").nunique()
     if has_seeds and "seed" in keys:
-        return f"{sentence}, in {cases} case{'s' if cases > 1 else ''}"
+        return f"{sentence}, in {counted(cases, 'case')}"
     if has_seeds:
         return f"{sentence}; no seed is in both, so the means over the seeds are the pairs"
     return sentence
@@ -293,9 +293,9 @@ def _too_few(figures: Sequence[Comparison], is_paired: Collection[bool]) -> list
     least = 2.0 / (2**first if True in is_paired else math.comb(first + second, first))
     if least < SIGNIFICANT:
         return []
-    test, found = "Mann and Whitney's test", f"{first} and {second} results"
+    test, found = "Mann and Whitney's test", f"{first} and {counted(second, 'result')}"
     if True in is_paired:
-        test, found = "Wilcoxon's test", f"{first} pair{'s' * (first > 1)}"
+        test, found = "Wilcoxon's test", counted(first, "pair")
     least_p = f"{min(least, 1.0):.2g}"
     return [f"{found}: too few for {test}, whose p cannot be below {least_p}; add cases or seeds"]
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from slamfusion.align.records import Alignment, Bent, Fusion, FusionResult, InputRecord
 from slamfusion.config import RunConfig
-from slamfusion.errors import AlignmentError
+from slamfusion.errors import AlignmentError, counted
 from slamfusion.evaluation.doubled_walls import doubled_wall_share, fused_doubled_shares
 from slamfusion.evaluation.map_error import MapError
 from slamfusion.grid import OccupancyGrid
@@ -237,7 +237,7 @@ def fusion_sentences(
         apart = ", ".join(record.name for record in other.accepted)
         text += f" Fused apart from these, in the frame of {other.reference}: {apart}."
     share = "" if doubled is None else f"{doubled.added_by_fusion:.1%} of the walls doubled, "
-    cells = f"{result.phantom_cells} cell{'s' * (result.phantom_cells != 1)} occupied in no input"
+    cells = f"{counted(result.phantom_cells, 'cell')} occupied in no input"
     return text, f"The vote: {cells}, {share}{result.time_s:.1f} s."
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
-from slamfusion.errors import MapFileError, SlamFusionError
+from slamfusion.errors import MapFileError, SlamFusionError, counted
 from slamfusion.evaluation.measured import GroundTruth, MeasuredPath, Measures
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import AtomicFiles, open_log, save_map, write_atomic, write_tum
@@ -130,11 +130,13 @@ class MappedLog:
         sentences = []
         if run.known_scans:
             state = self.result.resumed_from
-            sentences.append(f"passed over {run.known_scans} scans of {log} that {state} knows")
+            sentences.append(
+                f"passed over {counted(run.known_scans, 'scan')} of {log} that {state} knows"
+            )
         if not run.complete:
             sentences.append(
-                f"stopped after {len(run.feed_s)} scans, as asked for; the rest of {log} is "
-                "not in the map"
+                f"stopped after {counted(len(run.feed_s), 'scan')}, as asked for; the rest of "
+                f"{log} is not in the map"
             )
         return (*sentences, *run.warnings)
 
@@ -351,7 +353,8 @@ def write_slam_report(
     if run.health.mean_match_score is not None:
         facts.append(page.Fact(f"{run.health.mean_match_score:.3f}", "mean match score"))
     judged = "its map may be wrong" if run.warnings else "no warning from its run"
-    headline = f"{run.name}: {judged} ({len(trajectory)} poses, {trajectory.path_length_m():.1f} m)"
+    poses = counted(len(trajectory), "pose")
+    headline = f"{run.name}: {judged} ({poses}, {trajectory.path_length_m():.1f} m)"
     lines = [(f"{run.name}:", sentence) for sentence in run.warnings]
     banner = page.Banner("warn" if run.warnings else "plain", headline, lines)
     report = page.Page("SLAMfusion run", banner, facts, sections, config, result.device)

@@ -99,7 +99,7 @@ def number(value: float | None, digits: int = 3) -> str:
     """Return a number for a table; a dash where there is none."""
     if value is None or not math.isfinite(value):
         return "-"
-    return f"{value:.{digits}f}"
+    return f"{round(value, digits) + 0.0:.{digits}f}"  # no -0.000
 
 
 def spread(mean: float, deviation: float, digits: int) -> str:

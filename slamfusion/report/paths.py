@@ -12,6 +12,7 @@ from matplotlib.collections import LineCollection  # noqa: TID251
 from matplotlib.colors import LinearSegmentedColormap, Normalize  # noqa: TID251
 from matplotlib.figure import Figure  # noqa: TID251
 
+from slamfusion.errors import counted
 from slamfusion.evaluation.measured import MeasuredPath
 from slamfusion.evaluation.trajectory_error import TrajectoryErrors
 from slamfusion.evidence.parting import PART_M, path_gap_m
@@ -149,7 +150,7 @@ def paths_legend(lines: Sequence[Line], others: Sequence[Trajectory] = ()) -> ca
     """Return what the colours of ``paths_picture`` mean, the uppermost line first."""
     legend = {line.text: line.rgb for line in reversed(lines)}
     if others:
-        text = f"{len(others)} other path{'s' if len(others) > 1 else ''}, faint"
+        text = f"{counted(len(others), 'other path')}, faint"
         legend[text] = _others_rgb(lines[-1].path.name)
     return {**legend, **canvas.MARKS}
 
@@ -181,7 +182,7 @@ def path_pictures(
             "path",
             path_picture(trajectory, grid=grid),
             "The path over the map" if grid is not None else "The path",
-            f"{len(trajectory)} poses, {trajectory.path_length_m():.1f} m.",
+            f"{counted(len(trajectory), 'pose')}, {trajectory.path_length_m():.1f} m.",
             legend=canvas.MARKS,
         )
     ]

@@ -14,15 +14,24 @@ from slamfusion.align.records import Alignment, RunnerUp
 from slamfusion.cli.main import main
 from slamfusion.cli.program import cli
 from slamfusion.config import RunConfig
+from slamfusion.errors import counted
 from slamfusion.evaluation.measured import measure_trajectory
 from slamfusion.geometry import Pose2
 from slamfusion.jobs.align import AlignDocument
-from slamfusion.jobs.records import Circumstances, load_schema
+from slamfusion.jobs.records import Circumstances, load_schema, number
 from slamfusion.json_values import plain
 from slamfusion.slam.registry import BUILT_IN
 from slamfusion.trajectory import Trajectory
 from tests.support import make_schema
 from tests.support.documents import check_document
+
+
+def test_numbers_are_words_that_people_write() -> None:
+    assert [number(value, 2) for value in (-1e-9, -0.006, 1.005, 2, None)] == [
+        *("0.00", "-0.01", "1.00", "2.00", "-")
+    ]
+    assert [counted(count, "pose") for count in range(3)] == ["0 poses", "1 pose", "2 poses"]
+
 
 MAKE = "python -m tests.support.make_schema"
 

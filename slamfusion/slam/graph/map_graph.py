@@ -15,6 +15,7 @@ from typing import Any, cast
 
 import numpy as np
 
+from slamfusion.errors import counted
 from slamfusion.geometry import (
     B8,
     F64,
@@ -196,8 +197,9 @@ class GraphHealth(Health):
         if self.map_components > 1:
             sentences.append(
                 f"the map is in {self.map_components} components: the robot was kidnapped "
-                f"{self.kidnappings} times and relocalized {self.relocalizations} times; only "
-                "odometry tells how the components lie"
+                f"{counted(self.kidnappings, 'time')} and relocalized "
+                f"{counted(self.relocalizations, 'time')}; only odometry tells how the "
+                "components lie"
             )
         elif self.kidnappings:
             sentences.append(
