@@ -54,14 +54,14 @@ def test_logs_that_fail_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[s
 
 
 @pytest.mark.parametrize(
-    ("producers", "words"),
-    [("graph", "found that of graph alone; "), ("graph,grph", "did you mean 'graph'?")],
+    ("producers", "code", "words"),
+    [("graph", 1, "found that of graph alone; "), ("graph,grph", 2, "did you mean 'graph'?")],
 )
 def test_settings_that_no_log_could_be_run_with_are_refused_once(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], producers: str, words: str
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], producers: str, code: int, words: str
 ) -> None:
     words_given = ["run", "a.log", "b.log", "-o", str(tmp_path / "out"), "--producers", producers]
-    assert run_program(words_given) == 1
+    assert run_program(words_given) == code
     printed = capsys.readouterr()
     (line,) = printed.err.splitlines()
     assert line.count(words) == 1
