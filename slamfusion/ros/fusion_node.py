@@ -22,7 +22,7 @@ from slamfusion.config import (
     RunConfig,
     config_fields,
 )
-from slamfusion.errors import ConfigError, GridError, SlamFusionError
+from slamfusion.errors import ConfigError, SlamFusionError
 from slamfusion.evidence.conditions import CONDITIONS, Condition
 from slamfusion.fusion.live import LiveFusion, LiveInput, State
 from slamfusion.fusion.live.session import FusedMap, FusionSession, FusionState, warm_up
@@ -430,12 +430,7 @@ class FusionNode(NodeBase):
         self._keeper.note(self.session.snapshot)
 
     def _read(self, source: MapSource, message: Any) -> grids.OccupancyGrid:
-        try:
-            return self._on_page(source.name, source.read(message))
-        except GridError as error:
-            if self._page is not None:
-                self._page.put_problem(source.name, str(error))
-            raise
+        return self._on_page(source.name, source.read(message))
 
     def _on_page(self, name: str, grid: grids.OccupancyGrid) -> grids.OccupancyGrid:
         if self._page is not None:

@@ -62,10 +62,6 @@ class LivePage:
         self._inputs.add(name)
         self._scene.put_map(layer_name(name), grid, "input")
 
-    def put_problem(self, name: str, problem: str) -> None:
-        """Report a map of an input that cannot be read."""
-        self._scene.put_event("warn", f"a map of {name}: {problem}")
-
     def put_fused(self, fused: FusedMap) -> None:
         """Show a published fused map and its agreement."""
         self._scene.put_map(FUSED, fused.grid, "fused")

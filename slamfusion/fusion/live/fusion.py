@@ -321,7 +321,7 @@ class LiveFusion(Mailbox):
                 return reason
             change = track.follow(grid, resolution)
         except SlamFusionError as error:
-            return str(error)
+            return str(error).removeprefix(f"{track.name}: ")
         except MemoryError:
             return "no memory is left for its map"
         if not was_live:

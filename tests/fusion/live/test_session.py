@@ -111,7 +111,7 @@ def test_what_cannot_be_read_is_counted_and_named(device: ComputeDevice) -> None
     session, desk = started(device)
 
     def fail() -> OccupancyGrid:
-        raise GridError("no cells")
+        raise GridError("b: no cells")
 
     desk.live.put("b", fail, 101.0)
     session.turn()
