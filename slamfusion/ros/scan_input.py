@@ -132,7 +132,7 @@ class ScanInput:
         try:
             read = messages.scan_from_message(scan.message, mount)
         except ScanError as error:
-            self._base.diagnostics.note("scan", str(error))
+            self._base.diagnostics.note("scan", f"left out: {error}")
             raise LeftOutError("angles or ranges that cannot be a scan") from error
         return read.remounted(self._settings.laser)
 
