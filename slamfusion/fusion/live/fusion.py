@@ -147,7 +147,12 @@ class LiveFusion(Mailbox):
     def reset(self) -> None:
         """Forget the fused frame; every input's newest map starts the next one."""
         self.take_evidence()
+        inputs = [
+            self._input(one.name, None) if one.is_live else one.emptied()
+            for one in self._inputs.values()
+        ]
         self._refill()
+        self._inputs.update({one.name: one for one in inputs})
 
     def _refill(self) -> None:
         """Forget all but the newest maps."""
@@ -295,7 +300,7 @@ class LiveFusion(Mailbox):
             is_stale = newest_s - item.received_s > self._live.stale_after_s
             if one is not None and one.is_live and is_stale:
                 reason = Reason.STALE_ONE if item.maps == 1 else Reason.STALE
-                one.turn(reason, seconds=now_s - item.received_s)
+                one.turn(reason, seconds=self._live.stale_after_s)
         since_s = [
             item.waits_since_s
             for item in fresh.values()

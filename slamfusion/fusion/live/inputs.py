@@ -79,7 +79,7 @@ class Reason(Enum):
         "lost: its process gave no sign of life for {seconds:g} s (killed, frozen or cut off)",
     )
     UNPUBLISHED = Event.LOSS, "lost: no node publishes {topic!r} any more"
-    STALE = Event.LOSS, "no map for {seconds:.0f} s"
+    STALE = Event.LOSS, "no map for more than {seconds:g} s"
     STALE_ONE = (
         Event.LOSS,
         f"{STALE[1]} since its only one; name a map that never changes as file:PATH in inputs",
@@ -245,6 +245,11 @@ class Input:
         if self.stands and self.contradiction:
             return self.contradiction
         return self.reason + (f"; {Reason.YOUNG.says()}" if self.votes and self.is_young else "")
+
+    def emptied(self) -> Input:
+        """Return it without a map and a place, in the state that it has."""
+        place = self.name, self.thresholds, self.device
+        return Input(*place, reason=self.reason, _state=self._state)
 
     def refuse_map(self, why: str) -> None:
         """Stop its vote: its newest map cannot be used, and no older one counts."""

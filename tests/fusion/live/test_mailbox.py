@@ -8,7 +8,7 @@ import pytest
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig, NormalizeConfig, RunConfig
-from slamfusion.fusion.live import LiveFusion
+from slamfusion.fusion.live import LiveFusion, State
 from slamfusion.fusion.live.mailbox import Mailbox
 from slamfusion.io import files
 from tests.fusion.live.maps import Drive, live_fusion, three, touched
@@ -64,14 +64,19 @@ def test_an_input_is_stale_only_against_another_and_a_saved_one_never(
     drive.step(touched(three()["a"], 1))
     assert drive.accepted() == "ac"
     reason = drive.input("b").reason
-    assert reason.startswith("no map for 10")
+    assert reason.startswith("no map for more than 5 s since its only one")
     # A map server sends one map, and no more.
     assert "name a map that never changes as file:PATH" in reason
     drive.step(three()["b"])
     assert drive.accepted() == "abc"
     drive.now_s += 100.0
     drive.step(three()["a"])
-    assert drive.input("b").reason == "no map for 101 s"
+    drive.live.reset()
+    drive.step()
+    assert drive.input("b").reason == "no map for more than 5 s"
+    assert drive.input("b").state is State.LOST
+    drive.step(three()["b"])
+    assert drive.accepted() == "abc"
 
 
 def test_before_the_first_fusion_memory_must_hold_the_maps_at_its_resolution(
