@@ -12,6 +12,7 @@ from typing import Any
 
 _SHORT = reprlib.Repr()
 _SHORT.maxstring = _SHORT.maxother = _SHORT.maxlong = 60
+_SHORT.repr_array = _SHORT.repr_list  # type: ignore[assignment, method-assign]  # of ROS
 
 
 def shown(value: Any) -> str:

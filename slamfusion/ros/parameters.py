@@ -34,7 +34,7 @@ from slamfusion.config import (
     config_fields,
     with_values,
 )
-from slamfusion.errors import ConfigError, SlamFusionError
+from slamfusion.errors import ConfigError, SlamFusionError, shown
 from slamfusion.io.yaml_file import read_yaml
 from slamfusion.ros.interface import START_TEXT, NameList
 
@@ -195,7 +195,7 @@ def names_of(given: Any) -> tuple[str, ...]:
         given = given.split(",")
     names = list(given) if isinstance(given, (list, tuple)) else [given] * (given is not None)
     if not all(isinstance(item, str) for item in names):
-        raise ConfigError(f"wanted a list of names, found {given!r}")
+        raise ConfigError(f"wanted a list of names, found {shown(given)}")
     return tuple(item.strip() for item in names if item.strip())
 
 
