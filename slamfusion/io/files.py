@@ -95,6 +95,11 @@ SMALL_BYTES = 2**20
 _KINDS = ((stat.S_ISDIR, "a folder"), (stat.S_ISFIFO, "a pipe"), (stat.S_ISSOCK, "a socket"))
 
 
+def user_path(text: str) -> Path:
+    """Return a path with ``~`` as the home folder; ``~NAME`` stays if there is no user NAME."""
+    return Path(os.path.expanduser(text))  # noqa: PTH111 - pathlib raises
+
+
 def open_regular(path: Path, error: type[SlamFusionError]) -> BufferedReader:
     """Open a regular file for reading; a folder, pipe, socket or device is refused."""
     _check_regular(path, path.stat().st_mode, error)

@@ -18,6 +18,7 @@ from slamfusion.compute.layout import MOST_INPUTS
 from slamfusion.config import FusionNodeConfig
 from slamfusion.errors import ConfigError, SlamFusionError
 from slamfusion.grid import OccupancyGrid
+from slamfusion.io.files import user_path
 from slamfusion.ros.base import NodeBase, invalid_name
 from slamfusion.ros.input_health import MAP_SUFFIX, MapSource
 from slamfusion.ros.interface import INPUTS
@@ -77,7 +78,7 @@ def topic_of(entry: str) -> str | None:
 def saved_path(entry: str) -> Path | None:
     """Return the file of a saved map's entry; None for a topic."""
     where = _split(entry)[1]
-    return Path(where.removeprefix(FILE_PREFIX)) if where.startswith(FILE_PREFIX) else None
+    return user_path(where.removeprefix(FILE_PREFIX)) if where.startswith(FILE_PREFIX) else None
 
 
 def _split(entry: str) -> tuple[str, str]:
@@ -210,7 +211,7 @@ class FusionInputs:
         others = [other for other in self.entries.values() if other != entry]
         steps = [[*others, entry]]
         if len(others) < len(self.entries):
-            self._load("", Path(path))  # if unreadable, the old one stays
+            self._load("", user_path(path))  # if unreadable, the old one stays
             steps = [others, *steps]
         for entries in steps:
             if problem := self._ask(entries):

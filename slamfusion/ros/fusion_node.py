@@ -27,7 +27,7 @@ from slamfusion.evidence.conditions import CONDITIONS, Condition
 from slamfusion.fusion.live import LiveFusion, LiveInput, State
 from slamfusion.fusion.live.session import FusedMap, FusionSession, FusionState, warm_up
 from slamfusion.fusion.live.state import LiveState, StateError, is_state
-from slamfusion.io.files import check_memory, write_atomic
+from slamfusion.io.files import check_memory, user_path, write_atomic
 from slamfusion.io.map_server import load_map
 from slamfusion.jobs.live_drive import DriveSolution
 from slamfusion.ros import messages, qos
@@ -94,7 +94,7 @@ class StateKeeper:
     ) -> None:
         self.restored: LiveState | None = None
         self._diagnostics, self._live = base.diagnostics, live
-        self._path = Path(path).expanduser() if path else None
+        self._path = user_path(path) if path else None
         self._next_s = float("-inf")
         # Last noted, and the stamp of the newest fused map that is not kept.
         self._resets = self._fused_maps = 0

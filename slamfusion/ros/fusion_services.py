@@ -13,7 +13,7 @@ from rclpy.parameter import parameter_value_to_python
 from std_srvs.srv import Trigger
 
 from slamfusion.errors import SlamFusionError
-from slamfusion.io.files import refuse_overwriting
+from slamfusion.io.files import refuse_overwriting, user_path
 from slamfusion.io.map_server import map_sources, save_map, saved_files
 from slamfusion.io.trajectories import write_tum
 from slamfusion.ros import messages
@@ -45,7 +45,7 @@ class FusionServices:
 
     def __init__(self, node: FusionNode) -> None:
         self._node = node
-        self._root = Path(os.path.realpath(Path(node.settings.save_path).parent))
+        self._root = Path(os.path.realpath(user_path(node.settings.save_path).parent))
         services = [
             (GetMap, "get_map", self._get_map),
             (Trigger, "save_map", self._save_map),
@@ -121,7 +121,7 @@ class FusionServices:
     def _load_map(self, request: Any, response: Any) -> None:
         path = str(request.map_url).strip().removeprefix("file://")
         response.result = LoadMap.Response.RESULT_INVALID_MAP_DATA
-        if not path or not Path(path).exists():
+        if not path or not user_path(path).exists():
             response.result = LoadMap.Response.RESULT_MAP_DOES_NOT_EXIST
         grid = self._node.inputs.load(path)
         stamp = self._node.node.get_clock().now().to_msg()
@@ -160,7 +160,7 @@ class FusionServices:
 
     def _target(self, save_path: str, name: str) -> Path:
         """Return the path of a map to write, without an ending, in the folder or below it."""
-        given = Path(save_path)
+        given = user_path(save_path)
         if given.name in {"", ".."} or "\0" in save_path:
             raise SlamFusionError(f"{name} {save_path!r} names no file; add a name")
         folder = Path(os.path.realpath(given.parent))

@@ -26,7 +26,7 @@ from slamfusion.config import LogConfig, PlayerNodeConfig
 from slamfusion.deskew import Deskewer
 from slamfusion.errors import ConfigError, LogError, SlamFusionError
 from slamfusion.geometry import Pose2
-from slamfusion.io.files import refuse_overwriting
+from slamfusion.io.files import refuse_overwriting, user_path
 from slamfusion.io.log import LogScan, ScanLog
 from slamfusion.io.logs import log_sources, open_log
 from slamfusion.io.map_server import save_map, saved_files
@@ -103,11 +103,12 @@ class PlayerNode(NodeBase):
         # The newest fused path, serialized, and the stamp up to which the fused map is final.
         self._path: bytes | None = None
         self._final_s = -math.inf
+        log = user_path(self.settings.file)
         if self.settings.save is not None:
-            self._open_maps(map_topics, Path(self.settings.save), Path(self.settings.file))
+            self._open_maps(map_topics, user_path(self.settings.save), log)
         # Scans are sent as recorded: their readers deskew them.
         self._deskewer = Deskewer(reading)
-        self._log: ScanLog = open_log(self.settings.file, dataclasses.replace(reading, deskew="no"))
+        self._log: ScanLog = open_log(log, dataclasses.replace(reading, deskew="no"))
         self._scans = node.create_publisher(LaserScan, SCAN_TOPIC, qos.STREAM)
         self._odometry = node.create_publisher(Odometry, ODOM_TOPIC, qos.STREAM)
         self._clock = node.create_publisher(Clock, CLOCK_TOPIC, qos.STREAM)

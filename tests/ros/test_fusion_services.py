@@ -93,20 +93,21 @@ def test_save_as_names_all_that_it_does_not_take(tmp_path: Path) -> None:
     assert taken == (True, f"{path}.yaml")
 
 
-def test_a_saved_input_is_not_written_over(tmp_path: Path) -> None:
-    node = Node(tmp_path)
+def test_a_saved_input_is_not_written_over(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))
+    node = Node(Path("~"))
     FusionServices(node)
     (tmp_path / "sub").mkdir()
     yaml, picture = save_map(three()["b"], tmp_path / "yard")
     floor = yaml.rename(tmp_path / "floor.yaml")
-    node.inputs.entries["floor"] = f"file:{floor}"
+    node.inputs.entries["floor"] = "file:~/floor.yaml"
     before = picture.read_bytes()
     taken, why = save_as(node, path=str(tmp_path / "sub" / ".." / "yard"))
     assert not taken
     assert f"would replace the input {picture} (of {floor})" in why
     assert picture.read_bytes() == before
     assert not yaml.exists()
-    assert save_as(node, path=str(tmp_path / "yard"), format="png")[0]
+    assert save_as(node, path="~/yard", format="png")[0]
 
 
 def test_nav2s_requests_are_understood(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

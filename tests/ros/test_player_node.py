@@ -148,7 +148,12 @@ def test_a_fusion_whose_map_is_saved_gets_the_scans_from_the_first_on(
     heard = observer.collect(LaserScan, "scan")
     answer = observer.publisher(PoseStamped, "one/pose")
     processes.node(
-        "player", file=str(log), wait_for=["one"], maps=["fused/map"], save=str(tmp_path / "out")
+        "player",
+        env={"HOME": str(tmp_path)},
+        file=f"~/{log.name}",
+        wait_for=["one"],
+        maps=["fused/map"],
+        save="~/out",
     )
     # It has found the producer, and still waits.
     observer.wait(answer.get_subscription_count, what="the player")
