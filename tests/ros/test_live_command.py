@@ -88,6 +88,8 @@ def test_a_running_fusion_answers(
     assert "not saved: path '/nowhere/lab' leads out of" in refused["message"]
     a_saved_map_becomes_an_input(observer, tmp_path)
     assert live("set", "max_publish_rate_hz", "2.5")["success"]
+    answer = {"success": True, "message": "live.search_pause_s is 1000.0 now"}
+    assert live("set", "live.search_pause_s", "1e3") == answer
     for text in ("*/never", ""):
         answer = {"success": True, "message": f"discover is {text!r} now"}
         assert live("set", "discover", text) == answer
