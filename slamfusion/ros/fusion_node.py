@@ -262,7 +262,7 @@ class FusionNode(NodeBase):
         self.inputs.begin()
         self.fusion = LiveFusion(self._config, self._device, None if is_open else names)
 
-        # The last published map as message and grid; None before the first.
+        # The last published map as message and grid; None before the first of a frame.
         self.published: tuple[OccupancyGrid, grids.OccupancyGrid] | None = None
         # Another node that publishes the fused map; empty without.
         self.rival = ""
@@ -394,6 +394,7 @@ class FusionNode(NodeBase):
         self.drive.memory.forget()
         self._name_conditions({})
         self.session.ask_reset()
+        self.published = None
         self._wake()
 
     # --- the thread of the drive -------------------------------------------------------------

@@ -136,8 +136,11 @@ class FusionServices:
     def _save(self, path: str | None = None, **rules: Any) -> str:
         """Write the last published map by rules of ``save_map``; return the path of its YAML."""
         node = self._node
-        if node.published is None:
-            raise SlamFusionError(node.session.snapshot.nothing_fused)
+        if (published := node.published) is None:
+            snapshot = node.session.snapshot
+            is_reset = snapshot.sent_maps > 0
+            why = "nothing is fused since the reset" if is_reset else snapshot.nothing_fused
+            raise SlamFusionError(why)
         given = (node.settings.save_path, "save_path") if path is None else (path, "path")
         target = self._target(*given)
         kind = {key: rules[key] for key in ("mode", "image_format") if key in rules}
@@ -150,7 +153,7 @@ class FusionServices:
             ],
             [(f"the map {target}", file) for file in saved_files(target, **kind)],
         )
-        written, _ = save_map(node.published[1], target, **rules)
+        written, _ = save_map(published[1], target, **rules)
         if (solution := node.drive.locator.solution) is not None:
             write_tum(target.with_name(f"{target.name}.tum"), solution.path)
         where = str(written.resolve())

@@ -137,8 +137,9 @@ def test_nav2s_requests_are_understood(tmp_path: Path, monkeypatch: pytest.Monke
     assert "wanted the topic fused/map, found '/map'" in node.diagnostics.worst()[1]
     assert not save(map_url="/etc/lab")
     assert not save(map_mode="odd")
-    node.published = None
+    node.published, node.session.snapshot = None, FusionState(sent_maps=1)
     assert not save()
+    assert "not saved: nothing is fused since the reset" in node.diagnostics.worst()[1]
 
     response = SimpleNamespace(map=None, result=None)
     answer = node.answers["~/load_map"](asked(map_url="file:///maps/lab.yaml"), response)

@@ -221,7 +221,8 @@ class FusionSession:
     def send(self, *, with_agreement: bool = True) -> None:
         """Publish the map that waits, if its turn has come, and the agreement where it is heard."""
         fused = self.waiting
-        if fused is not None and self._is_turn:
+        # After a request it may be of a frame that ends.
+        if fused is not None and self._is_turn and self._asked.empty():
             self.waiting, self._unagreed, self._sent_s = None, fused, self._clock()
             self._publish(fused)
             if fused.arrived_s is not None:
@@ -244,6 +245,7 @@ class FusionSession:
 
     def _reset(self) -> None:
         self._live.reset()
+        self.waiting = self._unagreed = None
         self.snapshot = replace(self.snapshot, resets=self.snapshot.resets + 1)
 
     def _note(self, update: LiveUpdate) -> None:

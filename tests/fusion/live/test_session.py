@@ -141,6 +141,19 @@ def test_an_input_that_is_lost_votes_no_more_and_is_recalled_with_its_map(
     assert not session.snapshot.inputs["b"].accepted
 
 
+def test_a_map_of_the_frame_before_a_reset_does_not_go_out(device: ComputeDevice) -> None:
+    session, desk = started(device)
+    desk.put(touched(three()["a"], 1))
+    session.turn()
+    assert session.waiting is not None
+    session.ask_reset()
+    desk.now_s += 1.1
+    session.send()
+    assert len(desk.went) == 1
+    session.turn()
+    assert len(desk.went) == 2
+
+
 def test_requests_hold_from_the_next_turn_on(device: ComputeDevice) -> None:
     session, desk = started(device, stale_after_s=1000.0)
     session.ask_reset()
