@@ -243,6 +243,8 @@ class TransformTree:
         self._keep_s = keep_s
         self._edges: dict[tuple[str, str], Edge] = {}
         self._ways: dict[tuple[str, str], list[Step] | None] = {}
+        # Transforms without usable values, for messages.
+        self._invalid: set[str] = set()
 
     @property
     def frames(self) -> set[str]:
@@ -284,6 +286,7 @@ class TransformTree:
         length = math.hypot(*turn)
         is_near = all(abs(value) <= FARTHEST_M for value in (x, y, z))
         if not (is_near and SHORTEST < length < math.inf):
+            self._invalid.add(f"{parent!r} -> {child!r}")
             return False
         parent, child = parent.lstrip("/"), child.lstrip("/")
         if not parent or not child or parent == child:
@@ -404,6 +407,10 @@ class TransformTree:
         if way is None:
             known = ", ".join(sorted(self.frames)) or "none"
             names = f"from {source.lstrip('/')!r} to {target.lstrip('/')!r}"
+            if self._invalid:
+                known += (
+                    f"; left out, not finite or no rotation: {', '.join(sorted(self._invalid))}"
+                )
             raise TransformError(f"no transforms {names}; known frames: {known}", may_come=True)
         return way
 

@@ -46,7 +46,10 @@ def test_frames_that_nothing_connects() -> None:
     ],
 )
 def test_what_is_no_transform_is_refused(row: Row) -> None:
-    assert not TransformTree().add("a", "b", 0.0, row)
+    tree = TransformTree()
+    assert not tree.add("a", "b", 0.0, row)
+    with pytest.raises(TransformError, match="left out, not finite or no rotation: 'a' -> 'b'"):
+        tree.mount("a", "b", 0.0)
 
 
 turns = st.lists(st.floats(-1, 1), min_size=4, max_size=4).filter(lambda q: np.linalg.norm(q) > 0.1)
