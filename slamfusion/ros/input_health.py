@@ -8,7 +8,7 @@ from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from geometry_msgs.msg import PoseStamped
+from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from nav_msgs.msg import OccupancyGrid, Path
 from rclpy.event_handler import SubscriptionEventCallbacks, UnsupportedEventTypeError
 
@@ -17,9 +17,10 @@ from slamfusion.fusion.live.inputs import Reason
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid as Grid
 from slamfusion.ros import messages, qos
-from slamfusion.ros.base import Diagnostics, Level, NodeBase
+from slamfusion.ros.base import Diagnostics, Level, NodeBase, type_name
 
 MAP_SUFFIX = "/map"
+POSES = {type_name(kind): kind for kind in (PoseStamped, PoseWithCovarianceStamped)}
 
 # Delay before an expired lease counts, seconds: if this process was stopped, all leases seem to
 # have expired, and the next sign of life is a third of a second away.
@@ -215,7 +216,8 @@ class HeardPose:
 class MapSource:
     """A map topic and the pose topic next to it: ``NAME/pose`` for ``NAME/map``.
 
-    The map is read with the offered quality of service. ``MAP_updates``
+    The map is read with the offered quality of service, and the pose in the type that is published:
+    PoseStamped, or PoseWithCovarianceStamped without its covariance. ``MAP_updates``
     (map_msgs/OccupancyGridUpdate) are applied to the last whole map. Maps and poses with stamps far
     ahead of all others are reported and not used.
 
@@ -272,9 +274,8 @@ class MapSource:
         self._subscribe("map", OccupancyGrid, topic, self._take_map, self._profile)
         # NAME of NAME/map, empty for /map; None for other topics.
         self._stem = topic.removesuffix(MAP_SUFFIX) if topic.endswith(MAP_SUFFIX) else None
-        if self._stem is not None:
-            pose_topic = f"{self._stem}/pose"
-            self._subscribe("pose", PoseStamped, pose_topic, self._take_pose, qos.SENSOR)
+        self._pose_type: Any = PoseStamped
+        self._hear_poses()
 
     @property
     def lost(self) -> str:
@@ -307,6 +308,7 @@ class MapSource:
 
     def look(self) -> None:
         """Check the map's publishers, and adapt the subscriptions to what they offer."""
+        self._hear_poses()
         self._watch()
         profile = qos.map_qos(self._base.node, self.topic)
         if profile is None:
@@ -326,9 +328,24 @@ class MapSource:
         if what in self._subscriptions:
             self._base.node.destroy_subscription(self._subscriptions.pop(what))
 
+    def _hear_poses(self) -> None:
+        """Subscribe to the poses in a type that is published."""
+        if self._stem is None:
+            return
+        topic = f"{self._stem}/pose"
+        infos = self._base.node.get_publishers_info_by_topic(topic)
+        types = [POSES[one.topic_type] for one in infos if one.topic_type in POSES]
+        if types and self._pose_type not in types:
+            self._pose_type = types[0]
+            # The topic gets its new type at the next look, without a reader of the old one.
+            self._close("pose")
+            self._close("lease")
+        elif "pose" not in self._subscriptions:
+            self._subscribe("pose", self._pose_type, topic, self._take_pose, qos.SENSOR)
+
     def _watch(self) -> None:
         """Request liveliness once a pose writer offers a lease that is short enough."""
-        if self._stem is None or "lease" in self._subscriptions:
+        if "pose" not in self._subscriptions or "lease" in self._subscriptions:
             return
         node, topic = self._base.node, f"{self._stem}/pose"
         asked_s = max(self._lost_after_s - DOUBT_S - NOTICE_S, qos.LEASE_S)
@@ -338,7 +355,7 @@ class MapSource:
             return
         profile = qos.profile(1, reliable=False, latched=False, lease_s=asked_s)
         # Only the lease counts, not the poses.
-        wanted = PoseStamped, topic, lambda _: None, profile
+        wanted = self._pose_type, topic, lambda _: None, profile
         # No default callbacks: writers without a lease are no problem.
         events = SubscriptionEventCallbacks(
             use_default_callbacks=False, liveliness=self._on_liveliness
@@ -382,7 +399,7 @@ class MapSource:
 
     def _take_pose(self, message: Any) -> None:
         try:
-            pose = messages.pose2_from_message(message.pose)
+            pose = messages.pose2_from_message(getattr(message.pose, "pose", message.pose))
         except TrajectoryError as error:
             text = f"a pose of {self.name!r} is left out: {error}"
             self._base.diagnostics.note(f"pose {self.name}", text)

@@ -78,7 +78,11 @@ class Robot:
         )
         for name, publisher in self.poses.items():
             pose = transforms[name].inverse().compose(place)
-            publisher.publish(messages.pose_to_message(pose, f"{name}_map", stamp))
+            frame = f"{name}_map"
+            message = messages.pose_to_message(pose, frame, stamp)
+            if publisher.msg_type is not PoseStamped:
+                message = messages.sure_pose_to_message(pose, np.zeros((3, 3)), frame, stamp)
+            publisher.publish(message)
 
 
 def told_transforms(observer: Observer) -> dict[str, Pose2]:
