@@ -101,8 +101,8 @@ NAME/map_updates | map_msgs/OccupancyGridUpdate | - | fusion | reliable | with t
 NAME/map_metadata | nav_msgs/MapMetaData | producers | - | latched
     its size and place
 NAME/pose | geometry_msgs/PoseStamped | producers | fusion player | reliable, liveliness lease 0.5 s
-    the robot in the map's frame, one for every scan that was used, with its stamp; of others also
-    geometry_msgs/PoseWithCovarianceStamped, as of slam_toolbox
+    the robot in the map's frame, one for every scan that was used, with its stamp; the fusion
+    accepts PoseWithCovarianceStamped, too
 NAME/path | nav_msgs/Path | producers | - | latched
     the path so far, corrected; the fusion listens while it hears scans
 fused/map | nav_msgs/OccupancyGrid | fusion | - | latched
