@@ -22,11 +22,11 @@ VALUES_MAX = 100_000
 DEPTH_MAX = 50
 
 
-class _Loader(yaml.SafeLoader):
+class Loader(yaml.SafeLoader):
     """PyYAML's, with the numbers of YAML 1.2 and JSON that have an exponent alone: ``1e-1``."""
 
 
-_Loader.add_implicit_resolver(
+Loader.add_implicit_resolver(
     "tag:yaml.org,2002:float",
     re.compile(r"[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$"),
     list("-+.0123456789"),
@@ -41,7 +41,7 @@ def read_yaml(
     """Return the values of a YAML file; None (as text: empty) if it is empty."""
     data = read_small(Path(path), error, what)
     try:
-        loader = (yaml.BaseLoader if as_text else _Loader)(data.decode("utf-8-sig"))
+        loader = (yaml.BaseLoader if as_text else Loader)(data.decode("utf-8-sig"))
         node = loader.get_single_node()
         if node is None:
             return None

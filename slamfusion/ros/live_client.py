@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import re
 import time
 from collections.abc import Callable
 from typing import Any
@@ -21,6 +20,7 @@ from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import Trigger
 
 from slamfusion.errors import SlamFusionError
+from slamfusion.io.yaml_file import Loader
 from slamfusion.jobs.records import LiveAnswerDocument, LiveLineJson, LiveStatusDocument
 from slamfusion.ros import qos
 from slamfusion.ros.base import DIAGNOSTICS_TOPIC, Level
@@ -30,14 +30,6 @@ from slamfusion.ros.interface import INPUTS
 from slamfusion.ros.parameters import names_of
 
 SPIN_S = 0.1
-
-
-class CoreLoader(yaml.SafeLoader):
-    """Reads ``1e6`` as a number, as YAML 1.2 and ROS do; PyYAML wants ``1.0e+6``."""
-
-
-FLOAT = re.compile(r"[-+]?(\.\d+|\d+(\.\d*)?)([eE][-+]?\d+)?$")
-CoreLoader.add_implicit_resolver("tag:yaml.org,2002:float", FLOAT, [*"+-.0123456789"])
 
 
 class LiveNodeError(SlamFusionError):
@@ -97,7 +89,7 @@ class LiveClient:
     def set(self, name: str, value: str) -> LiveAnswerDocument:
         """Set a parameter to a value in YAML, else to the text, and return the answer."""
         try:
-            given = CoreLoader(value).get_single_data() if value else value
+            given = Loader(value).get_single_data() if value else value
             parameter = Parameter(name, value=given)
         except (TypeError, yaml.YAMLError):  # such as */map, or a date
             parameter = Parameter(name, value=value)
