@@ -16,15 +16,7 @@ from slamfusion.evidence.predictive import score_paths
 from slamfusion.fusion.live import LiveFusion
 from slamfusion.geometry import Pose2, fit_motion, moved_poses, with_levers
 from slamfusion.jobs.fused_path import fuse_weighed_paths
-from slamfusion.jobs.live_drive import (
-    DriveLocator,
-    DriveMemory,
-    DriveSolution,
-    DriveSolver,
-    Pace,
-    memory,
-    solver,
-)
+from slamfusion.jobs.live_drive import DriveSolution, Pace, locating, memory, solver
 from slamfusion.jobs.live_drive.pace import Depth
 from slamfusion.jobs.live_drive.solution import DRIFT
 from slamfusion.trajectory import Trajectory
@@ -55,9 +47,9 @@ class Robot:
     """Drives, and sends scans and poses of inputs, each in its own frame."""
 
     def __init__(self, device: ComputeDevice, *, bent_ones: str = "", names: str = "abc") -> None:
-        self.memory = DriveMemory()
-        self.locator = DriveLocator(self.memory)
-        self.solver = DriveSolver(self.memory, self.locator, device)
+        self.memory = memory.DriveMemory()
+        self.locator = locating.DriveLocator(self.memory)
+        self.solver = solver.DriveSolver(self.memory, self.locator, device)
         self.scans, self.truth = drive(SCANS, turn_bias=0.002)
         self.names = names
         self.step = 0
