@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import resource
 from pathlib import Path
 
@@ -71,3 +72,10 @@ def test_a_resolution_that_no_image_needs_is_named(truth: str, *, is_used: bool)
     done = run("align", MAPS[0], truth, "--resolution", "0.05")
     assert done.returncode == 0
     assert ("--resolution is not used: each map has a YAML" in done.stderr) == (not is_used)
+
+
+@pytest.mark.skipif(importlib.util.find_spec("rclpy") is not None, reason="rclpy is here")
+def test_without_ros_the_command_says_what_to_install():
+    assert_one_line_failure(
+        run("node", "tinyslam"), "rclpy cannot be imported", "pip install 'slamfusion[ros]'"
+    )
