@@ -326,13 +326,12 @@ def seeds(places: str) -> Callable[[F], F]:
         """Return the seeds in the order given, each once."""
         found: dict[int, None] = {}
         for part in [] if text is None else text.split(","):
-            first, dash, last = part.partition("-")
-            ends = (first, last) if dash else (first, first)
-            if not all(end.strip().isdecimal() for end in ends) or int(ends[1]) < int(ends[0]):
+            ends = [end.strip() for end in part.split("-", 1)]
+            if not all(map(str.isdecimal, ends)) or int(ends[-1]) < int(ends[0]):
                 raise click.BadParameter(f"wanted seeds like 0-9 or 1,2,5, found {text!r}")
-            if (count := int(ends[1]) - int(ends[0]) + 1) > SEEDS_MAX:
+            if (count := int(ends[-1]) - int(ends[0]) + 1) > SEEDS_MAX:
                 raise click.BadParameter(f"wanted at most {SEEDS_MAX} seeds, found {count}")
-            found |= dict.fromkeys(range(int(ends[0]), int(ends[1]) + 1))
+            found |= dict.fromkeys(range(int(ends[0]), int(ends[-1]) + 1))
         return tuple(found)
 
     return click.option(

@@ -212,7 +212,7 @@ def path_table(answer: Recommendation) -> tuple[list[str], list[list[str]]]:
             number(sum(span.to_s - span.from_s for span in apart), 0),
             number(max((span.gap_m for span in apart), default=None), 2),
         ])  # fmt: skip
-    if any(path.from_fused_m is not None for path in answer.paths):
+    if answer.is_of_fused:
         columns.append("from fused, rms [m]")
         for row, path in zip(rows, answer.paths, strict=True):
             row.append(number(path.from_fused_m, 3))

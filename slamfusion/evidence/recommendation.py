@@ -163,6 +163,11 @@ class Recommendation:
         return TONES[self.confidence] if self.laser_fault is None else "bad"
 
     @property
+    def is_of_fused(self) -> bool:
+        """Whether the SLAMs' own paths were compared with a fused one, which is recommended."""
+        return any(path.from_fused_m is not None for path in self.paths)
+
+    @property
     def headline(self) -> str:
         """The answer in a sentence."""
         what = f"the {self.path} path" if self.use is None else f"the {self.use} map"
@@ -180,11 +185,7 @@ class Recommendation:
 
     def lines(self) -> list[tuple[str, str]]:
         """Return what stands below the headline, each a subject and its text."""
-        why = (
-            ", the nearest to the fused path"
-            if any(path.from_fused_m for path in self.paths)
-            else ""
-        )
+        why = ", the nearest to the fused path" if self.is_of_fused else ""
         alone = [("Single SLAM:", self.best_single + why)] if self.best_single else []
         laser = [("Laser:", self.laser_fault)] if self.laser_fault else []
         return laser + alone + [("Check:", str(place)) for place in self.check]

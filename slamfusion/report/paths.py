@@ -373,6 +373,5 @@ def path_colours(
 ) -> dict[str, Rgb]:
     """Return the colour of each path, as elsewhere on the page."""
     colours = {**colours_of(evidence.scores), **page}
-    is_fused = any(path.from_fused_m is not None for path in answer.paths)
-    fused = answer.paths[0].name if is_fused else None
+    fused = answer.paths[0].name if answer.is_of_fused else None
     return {name: NAMED["fused"] if name == fused else colours[name] for name in evidence.scores}

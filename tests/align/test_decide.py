@@ -45,6 +45,7 @@ KINDS: tuple[tuple[dict[str, Any], DecisionKind, str], ...] = (
     ({"scale": 1.02}, "accepted", "differ in scale by 2.0%"),
     ({"pieces": 1.0, **EVEN}, "too little in common", "1.0 independent pieces of wall"),
     ({"pieces": -0.0, **EVEN}, "too little in common", " 0.0 independent pieces of wall"),
+    ({"pieces": -1.0, **EVEN}, "too little in common", " 0.0 independent pieces of wall"),
     (
         {"nearest": "a shift of itself", **EVEN, "better": -0.9},
         "too little in common",

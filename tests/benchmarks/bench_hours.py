@@ -177,7 +177,7 @@ class Hours:
         if now_s < self._until_s and not is_last:
             return
         for name in self._names:
-            cells = (f"{self._until_s / HOUR_S:.2f}", name, *self._rows[name].cells())
+            cells = (f"{self._until_s / HOUR_S:.3g}", name, *self._rows[name].cells())
             self.table.add_row(*cells)
             print("; ".join(cells), flush=True)
         self._rows = {name: Row() for name in self._names}

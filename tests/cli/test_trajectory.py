@@ -74,11 +74,9 @@ def test_a_path_of_a_part_of_the_drive_shows_how_much_it_covers(files: dict[str,
     both = run("trajectory", part, files["estimate"], *asked, *options(files, "relations"))
     heads, *rows = (line.split("\t") for line in both.stdout.splitlines() if "\t" in line)
     shares = {row[1]: dict(zip(heads, row, strict=True)) for row in rows}
-    for column, *wanted in (
-        ("truth covered", "0.333", "1.000"),
-        ("relations used", "0.333", "0.667"),
-    ):
-        assert [shares[name][f"{column}, share"] for name in ("part", "slam")] == wanted
+    wanted = {"truth covered": ["0.333", "1.000"], "relations used": ["0.333", "0.667"]}
+    for column, of_paths in wanted.items():
+        assert [shares[name][f"{column}, share"] for name in ("part", "slam")] == of_paths
 
 
 def test_a_folder_without_a_path_is_named_with_what_it_holds(tmp_path: Path) -> None:

@@ -69,18 +69,14 @@ def test_stamps_out_of_order_are_counted(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("stamp_s", "rate_hz", "out_of_order", "remark"),
+    ("stamp_s", "figures", "remark"),
     [
-        (lambda _: 5.0, None, None, "39 of 40 are not later than one before"),
-        (lambda step: 1e3 * step, 0.001, 0, "scans are 1000 s apart: are their stamps in seconds?"),
+        (lambda _: 5.0, (None, None), "39 of 40 are not later than one before"),
+        (lambda n: 1e3 * n, (0.001, 0), "scans are 1000 s apart: are their stamps in seconds?"),
     ],
 )
 def test_stamps_that_cannot_be_right_are_named(
-    tmp_path: Path,
-    stamp_s: Callable[[int], float],
-    rate_hz: float | None,
-    out_of_order: int | None,
-    remark: str,
+    tmp_path: Path, stamp_s: Callable[[int], float], figures: tuple[object, object], remark: str
 ) -> None:
     scans = [
         replace(item, scan=replace(item.scan, stamp_s=stamp_s(step)))
@@ -89,7 +85,7 @@ def test_stamps_that_cannot_be_right_are_named(
     write_carmen(tmp_path / "drive.log", scans)
     found = describe(tmp_path / "drive.log")
     assert found.log is not None
-    assert (found.log.rate_hz, found.log.out_of_order) == (rate_hz, out_of_order)
+    assert (found.log.rate_hz, found.log.out_of_order) == figures
     assert any(remark in sentence for sentence in found.remarks)
 
 

@@ -356,7 +356,6 @@ def test_new_poses_are_located_on_the_solved_walls(device: ComputeDevice) -> Non
     robot.drive_to(100)
     assert robot.locator.locate("a", 9.9, Pose2()) is None
     solution = solved(robot, lattice=LATTICE, transforms=in_frame_of_a())
-    robot.locator.take(solution)
     off_m = []
     for step in range(100, SCANS):
         truth = robot.truth[step]
@@ -403,7 +402,6 @@ def test_a_bent_input_is_contradicted_between_solutions_by_the_located_poses(
     robot.drive_to(60)
     assert robot.solver.solve("judged") is None
     solution = solved(robot, lattice=LATTICE, transforms=in_frame_of_a())
-    robot.locator.take(solution)
     assert {*solution.supported} == {*solved(robot, "judged").supported} == {*"abc"}
     while robot.step < 140:
         stamp_s, pose = robot.scans[robot.step].scan.stamp_s, robot.pose_of("a")
@@ -413,7 +411,6 @@ def test_a_bent_input_is_contradicted_between_solutions_by_the_located_poses(
     assert {*later.supported} == {*"ac"}
     assert "contradict its path since" in later.evidence.doubts["b"]
     assert later.path is solution.path
-    robot.locator.take(later)
     assert robot.locator.locate("b", stamp_s, Pose2()) is None
     assert robot.locator.locate("a", stamp_s, pose) is not None
 
@@ -423,7 +420,7 @@ def test_poses_that_come_before_their_scans_are_located_by_the_scan_before(
 ) -> None:
     robot = Robot(device)
     robot.drive_to(100)
-    robot.locator.take(solved(robot, lattice=LATTICE, transforms=in_frame_of_a()))
+    solved(robot, lattice=LATTICE, transforms=in_frame_of_a())
     for step in range(100, SCANS):
         robot.step, item, truth = step, robot.scans[step], robot.truth[step]
         drifted = Pose2(0.003 * (step - 100), 0.0, 0.0).compose(robot.pose_of("a"))
@@ -448,7 +445,7 @@ def test_where_scans_see_too_little_the_pose_is_less_sure(device: ComputeDevice)
         ranges = np.full_like(item.scan.ranges, np.inf)
         robot.scans[at] = replace(item, scan=replace(item.scan, ranges=ranges))
     robot.drive_to(60)
-    robot.locator.take(solved(robot, lattice=LATTICE, transforms=in_frame_of_a()))
+    solved(robot, lattice=LATTICE, transforms=in_frame_of_a())
     robot.drive_to(90, "a")
     way_m = math.dist(*((pose.x, pose.y) for pose in (robot.truth[59], robot.truth[89])))
     found = robot.locator.locate("a", robot.scans[89].scan.stamp_s, robot.pose_of("a"))
@@ -464,7 +461,7 @@ def test_of_inputs_that_part_after_the_solution_most_say_where_the_robot_is(
     robot = Robot(device)
     robot.bends["b"] = lambda pose, step: Pose2(0.0, 0.0, 0.02 * max(0, step - 60)).compose(pose)
     robot.drive_to(60)
-    robot.locator.take(solved(robot, lattice=LATTICE, transforms=in_frame_of_a()))
+    solved(robot, lattice=LATTICE, transforms=in_frame_of_a())
     for at, item in enumerate(robot.scans[60:], 60):
         ranges = np.full_like(item.scan.ranges, np.inf) if is_blind else item.scan.ranges
         robot.scans[at] = replace(item, scan=replace(item.scan, ranges=ranges))
@@ -506,7 +503,7 @@ def test_a_new_room_is_matched_before_a_solution_has_seen_it(device: ComputeDevi
         ranges = np.where(item.scan.ranges < 2.5, item.scan.ranges, np.inf).astype(np.float32)
         robot.scans[at] = replace(item, scan=replace(item.scan, ranges=ranges))
     robot.drive_to(30)
-    robot.locator.take(solved(robot, lattice=LATTICE, transforms=in_frame_of_a()))
+    solved(robot, lattice=LATTICE, transforms=in_frame_of_a())
     for step in range(30, SCANS):
         drifted = Pose2(0.0, 0.003 * (step - 30), 0.0).compose(robot.pose_of("a"))
         robot.drive_to(step + 1, "")

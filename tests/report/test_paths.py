@@ -195,6 +195,7 @@ def measured(name: str, wrong: float) -> MeasuredTrajectory:
 def test_the_report_of_a_trajectory_says_what_its_numbers_rest_on(tmp_path: Path) -> None:
     page = write_trajectories([measured("graph", 0.1)], tmp_path, CONFIG).read_text("utf-8")
     assert "60 of 60 poses met one of round within 0.01 s and cover 100% of its time, " in page
+    assert " of its time, not aligned; 59 pairs." in page
     assert "2 of 99 relations used, poses within 0.01 s of both times; " in page
     assert "revisits, translation m" in page
 

@@ -467,9 +467,8 @@ def test_a_laser_without_a_transform_is_named(processes: Processes, observer: Ob
     robot.wait_for()
     message = messages.scan_to_message(scans(1)[0].scan, "front_laser")
     robot.scans.publish(message)
-    status = observer.wait_status(
-        "tinyslam: slam", "scans in 'front_laser' cannot be used", "; send the transform, or set"
-    )
+    words = "scans in 'front_laser' cannot be used", "; send the transform, or set"
+    status = observer.wait_status("tinyslam: slam", *words, "laser_source to parameter")
     assert status.level == DiagnosticStatus.ERROR
     tf2.skip_without()
     from tf2_msgs.msg import TFMessage  # noqa: PLC0415

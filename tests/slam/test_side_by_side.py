@@ -167,6 +167,15 @@ def test_the_processes_share_the_cores_and_ours_keeps_its_environment(
     assert dict(os.environ) == before
 
 
+def test_cores_are_those_that_the_process_may_use(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {1, 5, 6})
+    assert usable_cores() == 3
+    monkeypatch.delattr(os, "sched_getaffinity")
+    for known, cores in ((7, 7), (None, 1)):
+        monkeypatch.setattr(os, "cpu_count", lambda known=known: known)
+        assert usable_cores() == cores
+
+
 def environment_of(process: int | None) -> dict[str, str]:
     """What a process was started with; its exec may still be on its way."""
     end_s = time.monotonic() + 30.0

@@ -170,10 +170,7 @@ class DriveLocator:
             for one in (last, scan)
             if one is not None and one.odometry is not None
         ]
-        for theirs in (
-            driven,
-            *(self._memory.poses.get(other, []) for other in others if other != name),
-        ):
+        for theirs in (driven, *(poses.get(other, []) for other in others if other != name)):
             until_s = min(stamp_s, theirs[-1][0]) if theirs else last.stamp_s
             moves = [_motion(rows, last.stamp_s, until_s) for rows in (poses.get(name, []), theirs)]
             if until_s > last.stamp_s and all(move is not None for move in moves):
