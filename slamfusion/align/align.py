@@ -18,7 +18,8 @@ from slamfusion.align.features import KEPT_CELLS, GridFeatures
 from slamfusion.align.normalize import check_resampling, common_resolution, normalize_grid
 from slamfusion.align.pair import Pair
 from slamfusion.align.records import Alignment
-from slamfusion.align.refine import settle
+from slamfusion.align.refine import settle, start_settling
+from slamfusion.align.scores import cut_pieces
 from slamfusion.align.search import (
     FINER_CHANCE_MAX,
     SearchResult,
@@ -170,6 +171,9 @@ def track_pair(pair: Pair, start: Pose2, pairs: int = 1) -> Alignment:
     began = time.perf_counter()
     if (empty := _without_walls(pair)) is not None:
         return empty
+    # The device makes the fields of the fit while the host cuts walls into pieces.
+    start_settling(pair)
+    cut_pieces(pair, pair.widths[0])
     motion = settle(pair, pair.motion_of(start)[None])
     found = SearchResult(motion, None, "tracked")
     return conclude(pair, AlignConfig(), found, start, pairs, began)

@@ -19,19 +19,12 @@ import numpy as np
 import numpy.typing as npt
 
 from slamfusion.align.likelihood import ScoreTable, evidence_table, likeness, score_table
-from slamfusion.align.lines import PieceLines
+from slamfusion.align.lines import PieceLines, relate_pieces
 from slamfusion.align.normalize import LEAST_KEPT, NormalizedGrid
 from slamfusion.compute import ComputeDevice
 from slamfusion.compute.arrays import DeviceArray
 from slamfusion.compute.lattice import PointPlanes, point_planes
-from slamfusion.compute.layout import (
-    DISTANCE_MAX,
-    DISTANCE_ONE,
-    DISTANCE_UNSEEN,
-    FACES,
-    FACING_PARTS,
-    FIELD_ONE,
-)
+from slamfusion.compute.layout import DISTANCE_ONE, DISTANCE_UNSEEN, FACES, FACING_PARTS, FIELD_ONE
 from slamfusion.compute.wall_pieces import PointPieces, piece_points
 from slamfusion.geometry import F64, I8, I32, I64, U8, U16
 from slamfusion.io.files import available_memory, return_freed_memory
@@ -98,7 +91,6 @@ class Level:
         free: (H, W) uint8 on the device, free share 0..255.
         distance2: (H, W) uint16 on the device, squared, cells.
         points: (N, 2) int32, surface walls as lattice positions x, y in half cells.
-        seen_cells: unknown cells farther than this from walls are unseen.
     """
 
     step: int
@@ -107,24 +99,12 @@ class Level:
     free: DeviceArray[Any]
     distance2: DeviceArray[Any]
     points: I32
-    seen_cells: float
     device: ComputeDevice
-
-    @cached_property
-    def distance(self) -> DeviceArray[Any]:
-        """(H, W) uint16, 1/256 cell, ``DISTANCE_UNSEEN`` in unseen cells."""
-        most = int(self.seen_cells * DISTANCE_ONE)
-        return self.device.wall_distances(self.distance2, self.free, most)
 
     @property
     def host_distance2(self) -> U16:
         """(H, W) ``distance2`` on the host."""
         return self.device.download(self.distance2)
-
-    @cached_property
-    def far_distance(self) -> DeviceArray[Any]:
-        """(H, W) uint16, 1/256 cell, in unseen cells too."""
-        return self.device.wall_distances(self.distance2, self.free, DISTANCE_UNSEEN)
 
 
 def _kept(
@@ -247,30 +227,28 @@ class GridFeatures:
         wall, points = self._surface()
         if step == 1:
             free = self.device.upload((self.grid.cells == 0).view(np.uint8) * np.uint8(FIELD_ONE))
-            return self._level_of(step, wall, free, points)
-        wall, free = self.device.shrink(wall, self.cells, step)
-        points = _lattice_points(_set_cells(self.device.download(wall)), wall.shape[1])
-        return self._level_of(step, wall, free, points)
+        else:
+            wall, free = self.device.shrink(wall, self.cells, step)
+            points = _lattice_points(_set_cells(self.device.download(wall)), wall.shape[1])
+        distance2 = self.device.distance_squared(wall)
+        height, width = wall.shape
+        return Level(step, (height, width), wall, free, distance2, points, self.device)
 
     @_kept
-    def solid_level(self) -> Level:
-        """Return the finest level with every solid wall cell, not only the surfaces."""
-        free = self.level(1).free
-        return self._level_of(1, self._solid(), free, self.wall_points, SOLID_REACH)
+    def distances(self, step: int, *, solid: bool, everywhere: bool) -> DeviceArray[Any]:
+        """Return (H, W) uint16, the distance of a level's cells to a surface wall in 1/256 cell.
 
-    def _level_of(
-        self,
-        step: int,
-        wall: DeviceArray[Any],
-        free: DeviceArray[Any],
-        points: I32,
-        reach: int = DISTANCE_MAX,
-    ) -> Level:
-        """Return the level of walls; distances are known up to ``reach``, cells."""
-        distance2 = self.device.distance_squared(wall, reach)
+        Args:
+            solid: to any solid wall cell, up to ``SOLID_REACH``; only at step 1.
+            everywhere: in unseen cells too, which otherwise are ``DISTANCE_UNSEEN``.
+        """
+        level = self.level(step)
         seen = max(SEEN_CELLS_MIN, SEEN_M / (self.grid.grid.resolution * step))
-        height, width = wall.shape
-        return Level(step, (height, width), wall, free, distance2, points, seen, self.device)
+        most = DISTANCE_UNSEEN if everywhere else int(seen * DISTANCE_ONE)
+        distance2 = level.distance2
+        if solid:
+            distance2 = self.device.distance_squared(self._solid(), SOLID_REACH)
+        return self.device.wall_distances(distance2, level.free, most)
 
     @_kept
     def chance(self, step: int, sigma: float) -> float:
@@ -303,8 +281,8 @@ class GridFeatures:
     @_kept
     def wall_places(self, step: int, most: int, *, solid: bool = False) -> DeviceArray[Any]:
         """Return the same as (N, 2) float32 x and y in cells, of all wall cells if ``solid``."""
-        level = self.solid_level() if solid else self.level(step)
-        return self.device.upload((spread_sample(level.points, most) / 2.0).astype(np.float32))
+        points = self.wall_points if solid else self.level(step).points
+        return self.device.upload((spread_sample(points, most) / 2.0).astype(np.float32))
 
     @_kept
     def _cut(self, per_half_cell: float, most: int) -> tuple[I32, I32, I64]:
@@ -328,7 +306,7 @@ class GridFeatures:
     def piece_lines(self, per_half_cell: float, most: int, width: float, apart: int) -> PieceLines:
         """Return how the ``pieces`` depend on each other."""
         points, starts, places = self._cut(per_half_cell, most)
-        return PieceLines(points, starts[:-1], places, width, apart)
+        return relate_pieces(points, starts[:-1], places, width, apart)
 
     @_kept
     def piece_words(self, sigma: float) -> tuple[ScoreTable, DeviceArray[Any]]:

@@ -64,12 +64,11 @@ def refine(
     Returns:
         (P, 3) refined motions, the same form.
     """
-    levels = [grid.solid_level() if solid else grid.level(step) for grid in pair]
-    on_ref, on_mov = (level.far_distance if everywhere else level.distance for level in levels)
+    on_ref, on_mov = (grid.distances(step, solid=solid, everywhere=everywhere) for grid in pair)
     from_ref, from_mov = (grid.wall_places(step, points, solid=solid) for grid in pair)
     sides = FitSide(from_mov, on_ref), FitSide(from_ref, on_mov)
     centre_mov = (pair.moving.centre[0] / step, pair.moving.centre[1] / step)
-    (height, width), mov_shape = (level.shape for level in levels)
+    (height, width), mov_shape = (grid.level(step).shape for grid in pair)
     middle, reach = np.array((width, height)) / 2.0, math.hypot(*mov_shape) / 2.0
     local = motions / np.array([step, step, 1.0])
     there, _ = both_ways(local, centre_mov)
@@ -82,6 +81,13 @@ def refine(
     local = np.column_stack((cos * x - sin * y, sin * x + cos * y, local[:, 2])) + moved
     local[:, :2] = (local[:, :2] + middle) * step
     return local
+
+
+def start_settling(pair: Pair) -> None:
+    """Let the device start on the fields of ``settle``."""
+    for grid in pair:
+        for solid in (False, True):
+            grid.distances(1, solid=solid, everywhere=False)
 
 
 def settle(pair: Pair, motions: F64) -> F64:

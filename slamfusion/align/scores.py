@@ -97,7 +97,7 @@ class WallPieces:
         """
         squares = np.asarray(noise)
         for part, lines in zip(self._by_map(values), self.lines, strict=True):
-            squares = squares + (part * (lines.alike @ part.T).T).sum(axis=-1)
+            squares = squares + lines.squares(part)
         total = values.sum(axis=-1)
         kept = np.where(total > 0.0, np.clip((values * left).sum(axis=-1), 0.0, total), -total)
         return np.asarray(total * kept / np.where(squares > 0.0, squares, 1.0))
@@ -109,7 +109,7 @@ class WallPieces:
 
     def _by_map(self, values: F64) -> list[F64]:
         """Return values (..., B) of the moving map's pieces, and the reference's."""
-        return np.split(values, [len(self.lines[0].squares)], axis=-1)
+        return np.split(values, [len(self.lines[0].straight)], axis=-1)
 
 
 def wall_pieces(
@@ -128,8 +128,7 @@ def wall_pieces(
     sides = list(pair.sides(motions, scales=scales))
     found = _pieces(pair, sides, sigma, PIECE_POINTS, sided=sided)
     evidence, most, share_most, seen_m = zip(*found, strict=True)
-    cut, apart = (_piece_sides(pair, sigma), PIECE_POINTS), ALIKE if sided else 1
-    lines, others = (own.piece_lines(*cut, sigma, apart) for own, _, _ in sides)
+    lines, others = (_piece_lines(own, pair, sigma, sided=sided) for own, _, _ in sides)
     return WallPieces(
         np.concatenate(evidence, axis=1),
         np.concatenate(most, axis=1),
@@ -138,6 +137,19 @@ def wall_pieces(
         (lines, others),
         GOOD_DOUBT if sided else 0.0,
     )
+
+
+def cut_pieces(pair: Pair, sigma: float) -> None:
+    """Make what the host makes of each map for ``wall_pieces`` of good maps."""
+    for own in pair:
+        own.pieces(_piece_sides(pair, sigma), PIECE_POINTS)
+        _piece_lines(own, pair, sigma, sided=True)
+
+
+def _piece_lines(own: GridFeatures, pair: Pair, sigma: float, *, sided: bool) -> PieceLines:
+    """Return how the pieces of a map depend on each other."""
+    apart = ALIKE if sided else 1
+    return own.piece_lines(_piece_sides(pair, sigma), PIECE_POINTS, sigma, apart)
 
 
 def _piece_sides(pair: Pair, sigma: float) -> float:

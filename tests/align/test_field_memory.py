@@ -55,8 +55,8 @@ def test_what_is_made_again_is_the_same(device: ComputeDevice) -> None:
 
     def looked_at(item: GridFeatures) -> list[object]:
         arrays = (
-            item.cells, item.level(1).distance, item.level(2).far_distance,
-            item.solid_level().distance2, item.field(2, 0.75, 191, 0.0)[1],
+            item.cells, item.distances(1, solid=True, everywhere=False),
+            item.distances(2, solid=False, everywhere=True), item.field(2, 0.75, 191, 0.0)[1],
             item.piece_words(1.5)[1],
             *item.pieces(0.1, 500), item.wall_places(2, 40), item.wall_planes(2, 40).planes,
         )  # fmt: skip

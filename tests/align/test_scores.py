@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from slamfusion.align.features import GridFeatures
-from slamfusion.align.lines import PieceLines
+from slamfusion.align.lines import PieceLines, relate_pieces
 from slamfusion.align.pair import Pair
 from slamfusion.align.scores import ALIKE, PIECE_M, PIECE_POINTS, WallPieces, wall_pieces
 from slamfusion.align.search import score_motions
@@ -36,7 +36,7 @@ def lines_of(squares: Sequence[tuple[int, int]], shapes: Sequence[np.ndarray]) -
     """Pieces of ten cells at columns and rows."""
     points = [shape + 20 * np.array(place) for shape, place in zip(shapes, squares, strict=True)]
     starts = np.cumsum([0, *map(len, points)], dtype=np.int32)[:-1]
-    return PieceLines(
+    return relate_pieces(
         np.concatenate(points, dtype=np.int32), starts, np.array(squares), SIGMA, ALIKE
     )
 
@@ -47,7 +47,7 @@ def table_of(evidence: np.ndarray, *lines: PieceLines, apart: int = ALIKE) -> Wa
     Without lines all are of one map; the other has no walls.
     """
     count = evidence.shape[1]
-    none = PieceLines(
+    none = relate_pieces(
         np.empty((0, 2), np.int32), np.empty(0, np.int32), np.empty((0, 2), np.int64), SIGMA, ALIKE
     )
     row = lines or [lines_of([(apart * k, 0) for k in range(count)], [CROOKED] * count)]
