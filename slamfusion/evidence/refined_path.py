@@ -21,19 +21,23 @@ IEEE RA-L 6(2), 2021 (features of lidar scans that are eliminated); Geman and Mc
 ``refine_borne_out``: that path, unless the scans show that it is worse, since it can pull two walls
 together. Both are scored by predictive consistency.
 
-The refinement reaches as far as walls of one place are drawn near each other. If the scans see
-little twice, the SLAMs may be further off, and the odometry closer: on a short drive with a narrow
-view, over a threshold where wheels slip. So if the scans support the odometry nearly as well as the
-path, the path is also refined from the odometry, and the scans decide. If they are undecided, the
-start at the odometry is taken: the SLAMs use the odometry too, and distort it. Where the wheels
-slipped and the scans see little, the parts of the drive before and after are each right, and too
-far apart for the refinement: all scans after some time are moved together, as long as that gains.
+The refinement reaches as far as walls of one place are drawn near each other. The path may follow a
+SLAM that is wrong, since the scans support each of them little before the refinement. So it is also
+refined from the path of each SLAM that lies far away and has nearly as much support, and taken from
+there if the scans then support it much better.
+
+If the scans see little twice, the SLAMs may be further off, and the odometry closer: on a short
+drive with a narrow view, over a threshold where wheels slip. So if the scans support the odometry
+nearly as well as the path, the path is also refined from the odometry, and the scans decide. If
+they are undecided, the start at the odometry is taken: the SLAMs use the odometry too, and distort
+it. Where the wheels slipped and the scans see little, the parts of the drive before and after are
+each right, and too far apart for the refinement: all scans after some time are moved together, as
+long as that gains.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Literal, TypeAlias
 
 import numpy as np
 import scipy
@@ -162,18 +166,16 @@ def _banded(diagonal: F64, beside: F64) -> scipy.sparse.csc_matrix:
 
 # --- whether it is taken --------------------------------------------------------------------------
 
-# Start of the refinement.
-RefinementStart: TypeAlias = Literal["paths", "odometry"]
 # Name of the refined path while it is compared with the given one.
 _REFINED = "refined"
-# Odometry is a start only if a hit is at most this much less likely by it, log-likelihood.
+# Another start counts only if a hit is at most this much less likely by it, log-likelihood.
 NEAR = 0.3
 # Two paths are equal if their difference per hit, log-likelihood, is smaller or not sure.
 GAIN = 0.01
 # Least gain of a round for another one.
 ROUND_GAIN = 0.02
-# Paths farther apart than this, metres, are different places, and the start at the odometry must
-# gain the second value: a path that revisits little is hardly contradicted.
+# Paths farther apart than this, metres, are different places, and another start must gain the
+# second value: a path that revisits little is hardly contradicted.
 FAR_M, FAR_GAIN = 1.0, 0.1
 MOST_ROUNDS = 6
 
@@ -184,8 +186,9 @@ class Refinement:
 
     taken: bool
     """Whether the refined path was taken: it is not where the scans say that it is worse."""
-    start: RefinementStart
-    """What it was sought from: the path made of those of the SLAMs, or the odometry."""
+    start: str
+    """What it was sought from: ``paths``, the path made of those of the SLAMs; ``odometry``; or the
+    name of the SLAM whose path it was."""
     comparison: Comparison = field(metadata=FLAT)
     """Of the refined path, the first, with the given one."""
 
@@ -203,17 +206,23 @@ def refine_borne_out(
         TrajectoryError: see ``score_paths``.
     """
     with_given = with_path(evidence, path.name, path)
-    refined, both = _settled(with_given, path, with_given.scores[path.name].consistency)
-    start: RefinementStart = "paths"
+    told = with_given.scores[path.name].consistency
+    start = "paths"
+    refined, both = _settled(with_given, path, told)
+    for name, score in evidence.scores.items():
+        begun = _at_scans(with_given, path, score.poses)
+        if score.consistency < told - NEAR or _apart_m(begun, refined).max() <= FAR_M:
+            continue
+        other, with_other = _settled(with_given, begun, told, is_far=True)
+        if _gain(with_other, both).difference > FAR_GAIN:
+            start, refined, both = name, other, with_other
     by_odometry = _from_odometry(with_given, path)
     if by_odometry is not None:
         other, with_other = by_odometry
-        apart_m = np.linalg.norm(other.poses[:, :2] - refined.poses[:, :2], axis=1)
-        first, second = with_other.scores[_REFINED], both.scores[_REFINED]
-        by_start = compare_sums(first.sums, second.sums, first.beams, with_other.is_judged)
-        is_taken = by_start.difference > -GAIN or by_start.p_value >= SURE
-        if np.median(apart_m) > FAR_M:
-            is_taken = by_start.difference > FAR_GAIN
+        gain = _gain(with_other, both)
+        is_taken = gain.difference > -GAIN or gain.p_value >= SURE
+        if np.median(_apart_m(other, refined)) > FAR_M:
+            is_taken = gain.difference > FAR_GAIN
         if is_taken:
             start, refined, both = "odometry", other, with_other
     found = both.compare(_REFINED, path.name)
@@ -227,18 +236,33 @@ def refine_borne_out(
     return refined, replace(both, scores=scores), decision
 
 
+def _apart_m(one: Trajectory, other: Trajectory) -> F64:
+    """Return (N,) the distances of the poses of two paths at the same times."""
+    return np.asarray(np.linalg.norm(one.poses[:, :2] - other.poses[:, :2], axis=1))
+
+
+def _gain(found: PathEvidence, before: PathEvidence) -> Comparison:
+    """Compare the refined path of one record with that of another."""
+    first, second = found.scores[_REFINED], before.scores[_REFINED]
+    return compare_sums(first.sums, second.sums, first.beams, found.is_judged)
+
+
+def _at_scans(evidence: PathEvidence, path: Trajectory, poses: F64) -> Trajectory:
+    """Return ``path`` along other poses (N, 3) at the scans, laid onto it; NaN: no pose."""
+    given = evidence.scores[path.name]
+    kept = np.flatnonzero(given.is_own & np.isfinite(poses[:, 0]))
+    laid = Trajectory(evidence.scans.stamps_s[kept], laid_onto(poses[kept], given.poses[kept]))
+    return replace(path, poses=carried_along(laid, path, path.stamps_s))
+
+
 def _from_odometry(
     evidence: PathEvidence, path: Trajectory
 ) -> tuple[Trajectory, PathEvidence] | None:
     """Lay the scans on each other along the odometry; None where they contradict it."""
-    scans = evidence.scans
-    score = evidence.scores[path.name]
-    given, kept = score.poses, np.flatnonzero(score.is_own)
-    if scans.driven is None or len(kept) < 2:
+    score, driven = evidence.scores[path.name], evidence.scans.driven
+    if driven is None or np.count_nonzero(score.is_own) < 2:
         return None
-    poses = laid_onto(scans.driven.poses[kept], given[kept])
-    laid = Trajectory(scans.stamps_s[kept], poses)
-    wheels = replace(path, poses=carried_along(laid, path, path.stamps_s))
+    wheels = _at_scans(evidence, path, driven.poses)
     told = with_path(evidence, _REFINED, wheels).scores[_REFINED].consistency
     if told < score.consistency - NEAR:
         return None
@@ -249,7 +273,7 @@ def _from_odometry(
         if gain < GAIN:
             break
         again, with_again = _settled(evidence, moved, told)
-        if with_again.scores[_REFINED].consistency <= told:
+        if with_again.scores[_REFINED].consistency < told + GAIN:
             break
         # On another floor no motion makes the parts one place.
         if find_contradiction(with_again, _REFINED) is not None:
@@ -260,18 +284,21 @@ def _from_odometry(
 
 
 def _settled(
-    evidence: PathEvidence, path: Trajectory, told: float
+    evidence: PathEvidence, path: Trajectory, told: float, *, is_far: bool = False
 ) -> tuple[Trajectory, PathEvidence]:
-    """Lay scans on each other along a path, and along the result while that gains."""
-    refined = refine_path(evidence.scans, path)
+    """Lay scans on each other along a path, and along the result while that gains.
+
+    A path that is far from right gains little in some rounds, and much in later ones.
+    """
+    refined = latest = refine_path(evidence.scans, path)
     both = with_path(evidence, _REFINED, refined)
     for _ in range(1, MOST_ROUNDS):
         found = both.scores[_REFINED].consistency
-        if found < told + ROUND_GAIN:
+        if found < told + ROUND_GAIN and not is_far:
             break
-        again = refine_path(evidence.scans, refined)
-        with_again = with_path(evidence, _REFINED, again)
+        latest = refine_path(evidence.scans, latest)
+        with_latest = with_path(evidence, _REFINED, latest)
         told = found
-        if with_again.scores[_REFINED].consistency > found:
-            refined, both = again, with_again
+        if with_latest.scores[_REFINED].consistency > found:
+            refined, both = latest, with_latest
     return refined, both

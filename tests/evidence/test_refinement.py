@@ -103,6 +103,19 @@ def test_where_the_odometry_is_nearer_the_path_is_sought_from_it(
     assert with_refined.scores["fused"].consistency == pytest.approx(again.consistency, abs=2e-3)
 
 
+def test_a_path_that_follows_a_wrong_slam_is_sought_from_another(
+    device: ComputeDevice, scans: JudgedScans
+) -> None:
+    truth, given = circuit(), replace(bent(bent(circuit(), 0.5, 36), 0.5, 90), name="fused")
+    paths = {"wrong": given, "right": moved(truth, (0.08, 0.0, 0.0), 72)}
+    path, _, found = refine_borne_out(
+        score_paths(replace(scans, driven=None), paths, device), given
+    )
+    assert (found.taken, found.start) == (True, "right")
+    assert worst_m(given, truth) > 1.0
+    assert worst_m(path, truth) < 0.02
+
+
 def test_where_the_odometry_jumps_the_parts_of_the_drive_are_moved_together(
     device: ComputeDevice, scans: JudgedScans
 ) -> None:
