@@ -22,9 +22,9 @@ IEEE RA-L 6(2), 2021 (features of lidar scans that are eliminated); Geman and Mc
 together. Both are scored by predictive consistency.
 
 The refinement reaches as far as walls of one place are drawn near each other. The path may follow a
-SLAM that is wrong, since the scans support each of them little before the refinement. So it is also
-refined from the path of each SLAM that lies far away and has nearly as much support, and taken from
-there if the scans then support it much better.
+SLAM that is wrong, since the scans support each of them little before the refinement. So if half of
+the SLAMs or more lie far away from the result, it is also refined from the paths of those of them
+that the scans support nearly as well, and taken from there if they then support it much better.
 
 If the scans see little twice, the SLAMs may be further off, and the odometry closer: on a short
 drive with a narrow view, over a threshold where wheels slip. So if the scans support the odometry
@@ -209,11 +209,12 @@ def refine_borne_out(
     told = with_given.scores[path.name].consistency
     start = "paths"
     refined, both = _settled(with_given, path, told)
-    for name, score in evidence.scores.items():
-        begun = _at_scans(with_given, path, score.poses)
-        if score.consistency < told - NEAR or _apart_m(begun, refined).max() <= FAR_M:
+    begun = {name: _at_scans(with_given, path, one.poses) for name, one in evidence.scores.items()}
+    far = [name for name, one in begun.items() if _apart_m(one, refined).max() > FAR_M]
+    for name in far if 2 * len(far) >= len(begun) else ():
+        if evidence.scores[name].consistency < told - NEAR:
             continue
-        other, with_other = _settled(with_given, begun, told, is_far=True)
+        other, with_other = _settled(with_given, begun[name], told, is_far=True)
         if _gain(with_other, both).difference > FAR_GAIN:
             start, refined, both = name, other, with_other
     by_odometry = _from_odometry(with_given, path)

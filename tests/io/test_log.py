@@ -63,7 +63,9 @@ def test_an_empty_file_is_refused(tmp_path: Path, name: str) -> None:
     assert "the file is empty" in refusal(path)
 
 
-@pytest.mark.parametrize("data", [gzip.compress(b"FLASER", mtime=0)[:9], b"\x1f\x8b and no more of gzip"])
+@pytest.mark.parametrize(
+    "data", [gzip.compress(b"FLASER", mtime=0)[:9], b"\x1f\x8b and no more of gzip"]
+)
 def test_a_packed_file_of_which_nothing_can_be_read_is_not_called_empty(
     tmp_path: Path, data: bytes
 ) -> None:
