@@ -421,7 +421,9 @@ def _recommend(
     is_fused = fusion.usable is not None
     every = paths if fused_path is None else {**paths, FUSED: fused_path.trajectory}
     if evidence is not None:
-        found = recommend(evidence, tuple(paths), fused=FUSED, frames=every)
+        blank = {grid.name for grid in fusion.grids if grid.known_box is None}
+        slams = tuple(name for name in paths if name not in blank)
+        found = recommend(evidence, slams, fused=FUSED, frames=every)
         is_one_map = found.path == FUSED or (is_fused and fused_path is None)
         found = replace(found, use=FUSED if is_one_map else found.path)
     elif (use := FUSED if is_fused else fallback) is not None:

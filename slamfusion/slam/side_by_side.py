@@ -28,7 +28,7 @@ from slamfusion.errors import SlamFusionError
 from slamfusion.fleet import interrupts_held, threads_limited
 from slamfusion.io.log import ScanLog
 from slamfusion.io.logs import open_log
-from slamfusion.slam.common.runner import ProducerRun, run_producer
+from slamfusion.slam.common.runner import NO_CELL, ProducerRun, run_producer
 from slamfusion.slam.registry import (
     check_names,
     make_producer,
@@ -253,6 +253,8 @@ def _answer(name: str, source: ScanLog, config: RunConfig, answers: Connection) 
     except Exception as error:  # noqa: BLE001 - a bug in one producer must not stop the others
         reason, detail = f"a bug: {type(error).__name__}: {error}", traceback.format_exc()
     else:
-        return Outcome(name, run, cpu_s=time.process_time(), device=device.name)
+        if run.grid.known_box is not None:
+            return Outcome(name, run, cpu_s=time.process_time(), device=device.name)
+        reason, detail = NO_CELL, ""
     reason = " ".join(reason.split())
     return Outcome(name, None, reason, cpu_s=time.process_time(), detail=detail)

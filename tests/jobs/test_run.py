@@ -208,19 +208,23 @@ def test_a_saved_map_brings_its_path(place: Path, tmp_path: Path) -> None:
     moved = Pose2(6.0, -2.0, 1.0)
     walls = np.where(draw_flat() == 1, 100, 0).astype(np.int8)
     save_map(OccupancyGrid(walls, CELL_M, moved), tmp_path / "karto" / "map")
+    save_map(OccupancyGrid(np.full_like(walls, -1), CELL_M, moved), tmp_path / "blank")
     truth = read_trajectory(place / "truth.tum").moved(moved)
     write_tum(tmp_path / "karto" / "poses.tum", Trajectory(truth.stamps_s[::3], truth.poses[::3]))
     config = replace(RUN_DEFAULTS, run=replace(RUN_DEFAULTS.run, producers=("graph",)))
     run = run_log(
         place / "flat.log", config, truth=place / "truth.tum",
-        saved_maps=[tmp_path / "karto" / "map.yaml"],
-        saved_paths=[CaseFile(tmp_path / "karto" / "poses.tum")],
+        saved_maps=[tmp_path / "karto" / "map.yaml", tmp_path / "blank.yaml"],
+        saved_paths=[
+            CaseFile(tmp_path / "karto" / "poses.tum", "map"),
+            CaseFile(place / "truth.tum", "blank"),
+        ],
     )  # fmt: skip
     assert not run.not_measured
-    assert {path.name for path in run.recommendation.paths} == {"graph", "map", "fused"}
+    assert {path.name for path in run.recommendation.paths} == {"graph", "map", "blank", "fused"}
     assert run.recommendation.best_single in {"graph", "map"}
     # With one producer alone there would be no fused path, and nothing to draw at.
-    assert set(run.fused_path.trust) == {"graph", "map"}
+    assert set(run.fused_path.trust) == {"graph", "map", "blank"}
     assert run.fused_mode == "drawn"
     assert set(run.usable.weights) == {"drawn"}, "its path holds all that its map knows"
     (gap,) = run.fusion.gaps
@@ -228,7 +232,7 @@ def test_a_saved_map_brings_its_path(place: Path, tmp_path: Path) -> None:
     assert gap.median_m < 0.1
     saved = save_run(run, tmp_path / "out")
     check_document(plain(saved), "run")
-    (told,) = saved.saved_paths
+    told, _ = saved.saved_paths
     assert (told.name, told.poses) == ("map", 11)
     assert told.measures.truth.ate.rmse == pytest.approx(0.0, abs=1e-6)
     own = next(item for item in saved.path_evidence if item.name == "map")

@@ -18,10 +18,8 @@ from slamfusion.config import RunConfig, SideBySideConfig
 from slamfusion.cores import usable_cores
 from slamfusion.errors import ConfigError
 from slamfusion.io import open_log, write_carmen
-from slamfusion.io.log import LogScan
-from slamfusion.scan import LaserScan
 from slamfusion.slam.common.runner import run_producer
-from slamfusion.slam.registry import make_producer
+from slamfusion.slam.registry import make_producer, with_settings
 from slamfusion.slam.side_by_side import Outcome, SideBySide
 from tests.slam.drives import drive
 
@@ -38,7 +36,7 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def with_settings(**settings: float) -> RunConfig:
+def limited(**settings: float) -> RunConfig:
     return replace(CONFIG, run=SideBySideConfig(**settings))
 
 
@@ -75,7 +73,7 @@ def signal_to(name: str, number: signal.Signals) -> Callable[[SideBySide], None]
 
 def test_each_makes_what_it_makes_alone_and_one_that_is_killed_is_named(log: Path) -> None:
     told: dict[str, list[float]] = {"tinyslam": [], "graph": [], "gmapping": []}
-    with SideBySide(tuple(told), log, with_settings(processes=3)) as side_by_side:
+    with SideBySide(tuple(told), log, limited(processes=3)) as side_by_side:
         signal_to("gmapping", signal.SIGKILL)(side_by_side)
         outcomes = side_by_side.wait(lambda name, share: told[name].append(share))
     assert not multiprocessing.active_children()
@@ -102,46 +100,42 @@ def test_each_makes_what_it_makes_alone_and_one_that_is_killed_is_named(log: Pat
         assert shares[-1] == 1.0
 
 
-def test_a_frozen_producer_is_stopped_at_its_time_limit(log: Path) -> None:
-    outcomes = run(
-        log, "graph", config=with_settings(time_limit_s=1.5),
-        meanwhile=signal_to("graph", signal.SIGSTOP),
-    )  # fmt: skip
-    assert outcomes["graph"].run is None
-    assert "ran past its time limit of 1.5 s" in outcomes["graph"].reason
-    assert outcomes["graph"].time_s >= 1.5
-
-
-def test_an_answer_past_the_time_limit_is_left_out_even_if_it_is_heard_later(log: Path) -> None:
-    outcomes = run(
-        log, "tinyslam", config=with_settings(time_limit_s=0.1), meanwhile=lambda _: time.sleep(3.0)
-    )
-    assert outcomes["tinyslam"].run is None
-    assert outcomes["tinyslam"].reason == "ran past its time limit of 0.1 s"
-    assert outcomes["tinyslam"].time_s > 0.1
+@pytest.mark.parametrize(
+    ("name", "limit_s", "meanwhile"),
+    [
+        ("graph", 1.5, signal_to("graph", signal.SIGSTOP)),
+        ("tinyslam", 0.1, lambda _: time.sleep(3.0)),  # its answer is heard later
+    ],
+)
+def test_what_passes_its_time_limit_is_left_out(
+    log: Path, name: str, limit_s: float, meanwhile: Callable[[SideBySide], None]
+) -> None:
+    outcome = run(log, name, config=limited(time_limit_s=limit_s), meanwhile=meanwhile)[name]
+    assert (outcome.run, outcome.reason) == (None, f"ran past its time limit of {limit_s} s")
+    assert outcome.time_s >= limit_s
 
 
 def test_the_longest_job_starts_first_and_no_more_run_than_may(log: Path) -> None:
     names = ("tinyslam", "graph", "gmapping")
-    with SideBySide(names, log, with_settings(processes=1)):
+    with SideBySide(names, log, limited(processes=1)):
         assert [process_of(name) is None for name in names] == [True, True, False]
     assert not multiprocessing.active_children()
 
 
-def test_what_cannot_be_mapped_is_said(tmp_path: Path) -> None:
+def test_what_cannot_be_mapped_is_said(log: Path, tmp_path: Path) -> None:
     blind = [
-        LogScan(
-            LaserScan(item.scan.stamp_s, np.full(len(item.scan), np.inf), -1.0, 0.01, 0.05, 30.0),
-            item.odometry,
-            item.line,
-        )
+        replace(item, scan=replace(item.scan, ranges=np.full(len(item.scan), np.inf)))
         for item in drive(3)[0]
     ]
-    log = tmp_path / "blind.log"
-    write_carmen(log, blind)
-    for name, outcome in run(log, "graph").items():
+    write_carmen(tmp_path / "blind.log", blind)
+    crossed_often = with_settings(CONFIG, "graph", min_pass_through=1000)
+    for source, config, reason in (
+        (tmp_path / "blind.log", CONFIG, "graph could use none of 3 scans"),
+        (log, crossed_often, "no cell of its map is known; check the settings of its cells"),
+    ):
+        outcome = run(source, "graph", config=config)["graph"]
         assert outcome.run is None
-        assert f"{name} could use none of 3 scans" in outcome.reason
+        assert reason in outcome.reason
         assert "\n" not in outcome.reason
         assert outcome.detail == ""
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from slamfusion.errors import SlamFusionError
 from slamfusion.geometry import F64
-from slamfusion.grid import UNKNOWN, OccupancyGrid
+from slamfusion.grid import OccupancyGrid
 from slamfusion.io.log import LogRecord, LogScan, ScanLog
 from slamfusion.slam.common.mapper import ClosesLoops, Closure, Health, Mapper, Series
 from slamfusion.slam.common.odometry_check import contradictions
@@ -46,6 +46,7 @@ LOW_SHARE = 0.5
 # Share of the scans that could not be used from which on there is a warning: a log may hold blind
 # moments, but one that is blind for longer is hardly mapped.
 MANY_SKIPPED_SHARE = 0.2
+NO_CELL = "no cell of its map is known; check the settings of its cells"
 
 
 @dataclass(frozen=True)
@@ -157,8 +158,8 @@ class ProducerRun:
 
     def _contradictions(self) -> tuple[str, ...]:
         sentences, health = [], self.health
-        if (self.grid.cells == UNKNOWN).all():
-            sentences.append("no cell of its map is known; check the settings of its cells")
+        if self.grid.known_box is None:
+            sentences.append(NO_CELL)
         is_often_low = health.low_scores > MANY_LOW_SHARE * health.scans_used
         if is_often_low or self.low_scores_in_a_row >= MANY_LOW_IN_A_ROW:
             share = 100.0 * health.low_scores / health.scans_used
