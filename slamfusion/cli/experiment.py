@@ -19,13 +19,14 @@ from slamfusion.config import PICTURE_FORMS, RunConfig
 from slamfusion.errors import ConfigError, SlamFusionError
 from slamfusion.jobs.cases import CaseFile
 from slamfusion.jobs.inputs import LogFiles, device_for
+from slamfusion.jobs.outputs import TRIALS
 
 
 def _files(folder: Path, _: Mapping[str, Any]) -> list[Path]:
     """Return what may be written: the tables, the plot, and what is kept of runs."""
     stem = click.get_current_context().command.name
     tables = [folder / f"{stem}.{ending}" for ending in ("csv", "md", "png", *PICTURE_FORMS)]
-    return [*tables, *(folder / experiments.runs.FOLDER).glob("*")]
+    return [*tables, *(folder / TRIALS).glob("*")]
 
 
 def _read_of_drive(text: Path, given: Mapping[str, Any]) -> list[Path]:

@@ -26,8 +26,11 @@ OUT_ENDS = {".yaml", ".yml", ".pgm", ".png", outputs.STORE_END}
 
 
 def _files(out: Path, given: Mapping[str, Any]) -> list[Path]:
-    """Return what may be written: also the maps of groups that may be found."""
-    stems = outputs.group_stems(stem_of(out, OUT_ENDS), len(given["maps"]) // 2)
+    """Return what may be written, also for groups that may be found, and such of earlier maps."""
+    stem, count = stem_of(out, OUT_ENDS), len(given["maps"]) // 2
+    while Path(f"{stem}-{count + 1}{outputs.AGREEMENT_END}.yaml").exists():
+        count += 1
+    stems = outputs.group_stems(stem, count)
     maps = [f"{stem}{end}" for stem in stems for end in ("", outputs.AGREEMENT_END)]
     return [
         Path(f"{stems[0]}.json"),

@@ -252,11 +252,11 @@ def common(function: F) -> F:
     @functools.wraps(function)
     def wrapper(*args: Any, **values: Any) -> Any:
         context = click.get_current_context()
-        paths.check_paths(context, {**context.params, **values})
-        if context.params.get("resolution") is not None and paths.has_only_yaml(context):
-            notice("--resolution is not used: each map has a YAML with its own resolution")
-        context.ensure_object(Settings).results_path = values.pop("results_path", None)
-        return function(*args, **values)
+        with paths.checked_paths(context, {**context.params, **values}):
+            if context.params.get("resolution") is not None and paths.has_only_yaml(context):
+                notice("--resolution is not used: each map has a YAML with its own resolution")
+            context.ensure_object(Settings).results_path = values.pop("results_path", None)
+            return function(*args, **values)
 
     def remember(context: click.Context, option: click.Parameter, value: bool) -> bool:
         setattr(context.ensure_object(Settings), str(option.name), value)

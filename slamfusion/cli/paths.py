@@ -5,17 +5,19 @@ from __future__ import annotations
 import importlib
 import os
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import click
 
+from slamfusion.cli.output import notice
 from slamfusion.errors import SlamFusionError
 from slamfusion.io.files import refuse_overwriting
 from slamfusion.jobs.cases import CaseFile, case_names
 from slamfusion.jobs.inputs import check_writable, is_yaml, map_file
-from slamfusion.jobs.outputs import STORE_END
+from slamfusion.jobs.outputs import STORE_END, TRIALS
 
 # Files of a path, kept by name among the values that the command was given.
 Files = Callable[[Path, Mapping[str, Any]], Iterable[Path]]
@@ -114,8 +116,13 @@ def has_only_yaml(context: click.Context) -> bool:
     return bool(maps) and all(is_yaml(path) for path in maps)
 
 
-def check_paths(context: click.Context, given: Mapping[str, Any]) -> None:
-    """Refuse outputs that replace inputs or other outputs, or cannot be written."""
+@contextmanager
+def checked_paths(context: click.Context, given: Mapping[str, Any]) -> Iterator[None]:
+    """Refuse outputs that replace inputs or each other, or cannot be written; name those that stay.
+
+    After a command that wrote its outputs, files of the same names that it did not write are of an
+    earlier command and look like its own.
+    """
     reads: list[tuple[Path, Path]] = []
     writes: list[tuple[str, Path]] = []
     for option, kind, path in _given_paths(context, given):
@@ -124,11 +131,19 @@ def check_paths(context: click.Context, given: Mapping[str, Any]) -> None:
             writes += [(f"{option.opts[0]} {path}", file) for file in files]
         else:
             reads += [(path, file) for file in files]
-    if not writes:
-        return
     try:
         refuse_overwriting(reads, writes)
     except SlamFusionError as error:
         raise click.BadParameter(str(error)) from None
     for folder in dict.fromkeys(file.parent for _, file in writes):
         check_writable(folder)
+    earlier = {
+        file: file.stat().st_ino
+        for _, file in writes
+        if file.parent.name != TRIALS and file.exists()
+    }
+    yield
+    # Whatever writes a file puts a new one in its place.
+    stays = [str(file) for file in earlier if file.exists() and file.stat().st_ino == earlier[file]]
+    if stays:
+        notice(f"not from this command, though named like its results: {', '.join(stays)}")

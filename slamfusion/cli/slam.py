@@ -32,8 +32,7 @@ def _stems(stem: Path, seeds: Sequence[int]) -> dict[int | None, Path]:
 
 def _files(out: Path, given: Mapping[str, Any]) -> list[Path]:
     stems = _stems(stem_of(out, SUFFIXES), given["seeds"]).values()
-    found = [output_files(stem, probabilities=given["probabilities"]) for stem in stems]
-    return [file for files in found for file in files]
+    return [file for stem in stems for file in output_files(stem, probabilities=True)]
 
 
 def _state_options(function: Any) -> Any:

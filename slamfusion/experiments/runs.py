@@ -27,6 +27,7 @@ from slamfusion.geometry import I8, Pose2
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import AtomicFiles
 from slamfusion.jobs.inputs import Progress
+from slamfusion.jobs.outputs import TRIALS
 from slamfusion.jobs.records import record_bytes
 from slamfusion.jobs.results import input_records
 
@@ -38,8 +39,7 @@ Inputs = Sequence[tuple[str, str, Path]]
 
 # Parts of the package that do not affect results.
 FACES = {"cli", "report", "ros", "web"}
-# Folder of finished runs in that of the experiment; array names in map files.
-FOLDER = "trials"
+# Array names in map files.
 MAP, RESOLUTION = "map ", "resolution"
 
 
@@ -136,7 +136,7 @@ def _fingerprint(task: object, config: RunConfig, facts: Sequence[str]) -> str:
 def _read(folder: Path, key: str, mark: str) -> RunResult | None:
     """Return the result of an earlier run; None if missing, damaged or different."""
     try:
-        kept = json.loads((folder / FOLDER / f"{key}.json").read_text(encoding="utf-8"))
+        kept = json.loads((folder / TRIALS / f"{key}.json").read_text(encoding="utf-8"))
         if kept["fingerprint"] != mark:
             return None
         example = _maps_file(folder, key).read_bytes() if kept["example"] else None
@@ -159,7 +159,7 @@ def _write(folder: Path, key: str, mark: str, result: RunResult) -> None:
         "remark": result.remark,
     }
     with AtomicFiles() as files:
-        files.add(folder / FOLDER / f"{key}.json", record_bytes(record))
+        files.add(folder / TRIALS / f"{key}.json", record_bytes(record))
         if result.example is not None:
             files.add(_maps_file(folder, key), result.example)
 
@@ -175,7 +175,7 @@ def packed_maps(differences: Mapping[str, I8], resolution: float) -> bytes:
 
 def kept_runs(folder: Path) -> list[str]:
     """Return the names of the runs whose maps are kept in an experiment's folder."""
-    return sorted(path.stem for path in (folder / FOLDER).glob("*.npz"))
+    return sorted(path.stem for path in (folder / TRIALS).glob("*.npz"))
 
 
 def kept_maps(folder: Path, key: str) -> tuple[OccupancyGrid, list[OccupancyGrid]]:
@@ -195,4 +195,4 @@ def kept_maps(folder: Path, key: str) -> tuple[OccupancyGrid, list[OccupancyGrid
 
 
 def _maps_file(folder: Path, key: str) -> Path:
-    return folder / FOLDER / f"{key}.npz"
+    return folder / TRIALS / f"{key}.npz"

@@ -25,6 +25,8 @@ AGREEMENT_END = "_agreement"
 AGREEMENT = FUSED + AGREEMENT_END
 # What a run calls the map that is drawn at the fused path.
 DRAWN = "drawn"
+# Folder of finished runs in that of an experiment, which a later one goes on with.
+TRIALS = "trials"
 # How the name of a store ends, of a fused map that is written tile by tile.
 STORE_END = ".zarr"
 # The file of the fused path.

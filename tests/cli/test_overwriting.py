@@ -128,19 +128,10 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name in ("x.json", "run/fused.json", "here/trials/one.json", "r/report.html"):
         (folder / name).write_text("{}", encoding="utf-8")
     (folder / "t.csv").write_text("{}", encoding="utf-8")
-    poses = (
-        "t-2.csv",
-        "p.tum",
-        "q.tum",
-        "one.tum",
-        "one/b.tum",
-        "one/c.tum",
-        "r.zip",
-        "s",
-        "g.g2o",
-    )
-    kept = ("occupancy-estimator.csv", "cell-models-trajectories.csv")
-    for name in (*poses, "run/graph.tum", "run/fused.tum", *(f"here/{item}" for item in kept)):
+    poses = ["p.tum", "q.tum", "one.tum", "one/b.tum", "one/c.tum"]
+    kept = ("here/occupancy-estimator.csv", "here/cell-models-trajectories.csv")
+    poses += ["t-2.csv", "r.zip", "s", "g.g2o", "run/graph.tum", "run/fused.tum", *kept]
+    for name in poses:
         (folder / name).write_text("1 0 0 0 0 0 0 1\n", encoding="utf-8")
     courses = {"here/course.yaml": "office", "here/my.yaml": "truth.yaml", "other.yaml": "office"}
     for name, world in courses.items():
@@ -203,6 +194,16 @@ def test_a_command_may_be_given_again_and_write_beside_its_inputs(words: str) ->
     )
     for _ in range(2):
         assert run_program(words.split()) == 0
+
+
+def test_files_of_an_earlier_command_that_stay_are_named(
+    place: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in ("x.png", "x-2_agreement.yaml"):
+        (place / name).touch()
+    assert run_program(["fuse", "a.yaml", "b.yaml", "-o", "x"]) == 0
+    _, named = capsys.readouterr().err.split("not from this command, though named like its results")
+    assert named == ": x.png, x-2.yaml, x-2.pgm, x-2_agreement.yaml\n"
 
 
 def test_every_command_says_of_its_paths_what_they_are_for() -> None:

@@ -13,7 +13,7 @@ from slamfusion.cli.show import Finished, read_finished
 from slamfusion.config import RunConfig
 from slamfusion.errors import MapFileError
 from slamfusion.evaluation.map_error import AGREE_FREE, AGREE_WALL, EXTRA_WALL, MISSING_WALL
-from slamfusion.experiments.runs import FOLDER, packed_maps
+from slamfusion.experiments.runs import TRIALS, packed_maps
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import save_map, write_tum
@@ -186,7 +186,7 @@ def test_a_drive_of_an_experiment_is_shown_over_the_truth(tmp_path: Path) -> Non
     codes = np.array([[AGREE_FREE, AGREE_WALL, MISSING_WALL, EXTRA_WALL]], dtype=np.int8)
     other = np.array([[AGREE_FREE, AGREE_WALL, AGREE_WALL, AGREE_FREE]], dtype=np.int8)
     for name in ("one", "two"):
-        path = tmp_path / FOLDER / f"{name}.npz"
+        path = tmp_path / TRIALS / f"{name}.npz"
         path.parent.mkdir(exist_ok=True)
         path.write_bytes(packed_maps({"graph": codes, "consensus": other}, 0.05))
     found = read_finished(tmp_path)
@@ -205,6 +205,6 @@ def test_a_drive_of_an_experiment_is_shown_over_the_truth(tmp_path: Path) -> Non
     assert read_finished(tmp_path, "two").also == ["one"]
     with pytest.raises(MapFileError, match="no drive 'three' in it; --drive takes one of one, two"):
         read_finished(tmp_path, "three")
-    (tmp_path / FOLDER / "two.npz").write_bytes(b"nonsense")
+    (tmp_path / TRIALS / "two.npz").write_bytes(b"nonsense")
     with pytest.raises(MapFileError, match="cannot be read as the maps of a drive"):
         read_finished(tmp_path, "two")
