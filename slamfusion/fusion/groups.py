@@ -126,14 +126,13 @@ def align_group(
     group, *rest = found
     reference = choose_reference(list(group), features, config.reference, names)
     alignments = _to_reference(reference, group, features, pairs)
-    left_out = {
-        name: _left_out(name, reference, group, pairs) for name in features if name not in group
-    }
     wanted = None if named_input(config.reference, names) in names else config.reference
     others = []
     for other in rest:
         own = choose_reference(list(other), features, wanted, names)
         others.append(Members(own, _to_reference(own, other, features, pairs)))
+    groups = [Members(reference, alignments), *others]
+    left_out = {name: _left_out(name, groups, pairs) for name in features if name not in group}
     return AlignedGroup(reference, alignments, left_out, tuple(pairs), tuple(others))
 
 
@@ -341,21 +340,25 @@ def _rank(pair: Alignment) -> int:
 
 
 def _left_out(
-    name: str, reference: str, group: MapGroup, pairs: Sequence[Alignment]
+    name: str, groups: Sequence[Members], pairs: Sequence[Alignment]
 ) -> tuple[str, Alignment | None]:
-    """Return why an input is not in the group, and the alignment that shows it.
+    """Return why an input is not in the first group, and the alignment that shows it.
 
-    That is the one to the reference if any, else the best of the failed.
+    That is the best one to a reference if any, else the best of the failed. Of a map that is in no
+    group those with every group count: it may show the place of any.
     """
+    if any(name in group.alignments for group in groups):
+        groups = groups[:1]
+    references = [group.reference for group in groups]
+    members = {other for group in groups for other in group.alignments}
     mine = [
-        pair
+        _from_the_side_of(name, pair)
         for pair in pairs
-        if name in {pair.reference, pair.moving} and {pair.reference, pair.moving} & set(group)
+        if name in {pair.reference, pair.moving} and {pair.reference, pair.moving} & members
     ]
     if not mine:
-        return f"no pair of it with the maps around {reference} was promising", None
-    best = max(mine, key=lambda pair: (reference in {pair.reference, pair.moving}, pair.score))
-    shown = _from_the_side_of(name, best)
+        return f"no pair of it with the maps around {references[0]} was promising", None
+    shown = max(mine, key=lambda pair: (pair.reference in references, pair.score))
     return f"to {shown.reference}: {shown.reason}", shown
 
 

@@ -20,6 +20,7 @@ from slamfusion.geometry import Pose2, wrap_angle
 from slamfusion.grid import CellBox, OccupancyGrid
 from slamfusion.io import files
 from tests.fusion.drawings import assert_right, building, degraded, draw, fusion_config, padded
+from tests.fusion.live.maps import mirrored, trio
 
 pytestmark = pytest.mark.usefixtures("remembered_searches")
 
@@ -180,22 +181,20 @@ def test_maps_without_known_cells_are_named(device: ComputeDevice) -> None:
         fuse_grids(blank, QUICK, device)
 
 
-def test_a_map_without_walls_is_named_and_the_others_fused(device: ComputeDevice) -> None:
+def test_maps_that_cannot_be_aligned_are_named_and_the_others_fused(device: ComputeDevice) -> None:
     grids, _ = three()
     lawn = replace(grids[0], cells=np.zeros_like(grids[0].cells)).with_name("lawn")
-    (left_out,) = fuse_grids([*grids[:2], lawn], QUICK, device).rejected
-    assert left_out.reason == "to a: lawn has no occupied cell, so there is nothing to align"
-
-
-def test_an_unknown_map_among_three_is_named_and_the_others_fused(device: ComputeDevice) -> None:
-    grids, _ = three()
-    result = fuse_grids([draw(" ?\n  ", name="fog"), *grids[:2]], QUICK, device)
-    assert [record.name for record in result.accepted] == ["a", "b"]
-    (fog,) = result.rejected
-    assert fog.name == "fog"
+    fog, bare = fuse_grids([draw(" ?\n  ", name="fog"), *grids[:2], lawn], QUICK, device).rejected
+    assert bare.reason == "to a: lawn has no occupied cell, so there is nothing to align"
     assert fog.alignment is None
     assert fog.reason.startswith("all 2 x 2 cells are unknown")
-    assert len(result.pairs) == 1
+
+
+def test_a_mirrored_map_of_a_second_place_is_named(device: ComputeDevice) -> None:
+    one, two, image = (grid.with_name(f"there {name}") for name, grid in trio().items())
+    result = fuse_grids([*three()[0], one, two, mirrored(image)], QUICK, device)
+    assert [record.name for record in result.others[0].accepted] == ["there a", "there b"]
+    assert "a map mirrored or transposed?" in result.rejected[-1].reason
 
 
 def test_nothing_to_fuse_is_refused(device: ComputeDevice) -> None:
