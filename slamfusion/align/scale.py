@@ -107,6 +107,20 @@ def wrong_resolution(
     return None
 
 
+def explained(
+    alignment: Alignment,
+    reference: OccupancyGrid,
+    moving: OccupancyGrid,
+    config: FusionConfig,
+    device: ComputeDevice,
+) -> Alignment:
+    """Return an alignment, its reason the wrong resolution if that is why it was rejected."""
+    if alignment.accepted or alignment.evidence is None or alignment.decision == "mirrored":
+        return alignment
+    words = wrong_resolution(reference, moving, config, device)
+    return replace(alignment, reason=words, decision="other scale") if words else alignment
+
+
 class _ScaleSearch:
     """A plan on coarse cells at all scales, to be compared with a map and with its image."""
 

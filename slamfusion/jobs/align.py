@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from slamfusion.align.records import Alignment
-from slamfusion.align.scale import FACTOR, align_at_any_scale, wrong_resolution
+from slamfusion.align.scale import FACTOR, align_at_any_scale, explained
 from slamfusion.align.starts import StartPose, place_starts
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import NormalizeConfig, RunConfig
@@ -78,11 +78,7 @@ def align_maps(
         start = _expected(config, still.name, moved.name)
     device = device_for(config, device)
     found = align_grids(still, moved, config.fusion, device, start)
-    if not found.accepted and found.evidence is not None and found.decision != "mirrored":
-        words = wrong_resolution(still, moved, config.fusion, device)
-        if words is not None:
-            return replace(found, reason=words, decision="other scale")
-    return found
+    return explained(found, still, moved, config.fusion, device)
 
 
 def _expected(config: RunConfig, reference: str, moving: str) -> Pose2 | StartPose | None:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from slamfusion.align.align import align_each
 from slamfusion.align.records import Alignment
+from slamfusion.align.scale import explained
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
 from slamfusion.evaluation.distances import (
@@ -141,7 +142,12 @@ def evaluate_maps(
     if plans:
         truths, found = [plan.plan for plan in plans], [plan.of_map for plan in plans]
     elif align:
-        found = align_each(true_grid, grids, search, device)
+        found = (
+            explained(alignment, true_grid, grid, search, device)
+            for grid, alignment in zip(
+                grids, align_each(true_grid, grids, search, device), strict=True
+            )
+        )
     evaluations, tell = [], progress or (lambda *_: None)
     for done, (grid, shown, alignment) in enumerate(zip(grids, truths, found, strict=True)):
         tell("evaluate", done, len(grids))

@@ -18,6 +18,7 @@ from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io.map_server import load_map
 from slamfusion.jobs.align import align_maps, align_plan
+from slamfusion.jobs.evaluate import evaluate_maps
 from slamfusion.jobs.fuse import fuse_maps
 from slamfusion.jobs.fuse_documents import left_out_sentences
 from tests.fusion.drawings import building
@@ -115,10 +116,9 @@ def test_a_wrong_resolution_is_named_with_the_right_one(device: ComputeDevice, s
     wrong = replace(c, resolution=said)
     found = align_maps(a, wrong, device=device)
     assert found.decision == "other scale"
-    number = re.match("its resolution should be (.*) m, it says (.*) m", found.reason)
-    assert number is not None, found.reason
-    assert float(number[1]) == pytest.approx(0.05, rel=0.005)
-    assert float(number[2]) == said
+    (numbers,) = re.findall("its resolution should be (.*) m, it says (.*) m", found.reason)
+    assert [*map(float, numbers)] == [pytest.approx(0.05, rel=0.005), said]
+    assert evaluate_maps([wrong], a, device=device)[0].alignment.reason == found.reason
     if said < 0.05:
         return
     fused = fuse_maps([a, b, wrong], device=device)
