@@ -303,6 +303,7 @@ class MapSource:
 
     def close(self) -> None:
         """End all subscriptions."""
+        self._base.diagnostics.clear(f"pose type {self.name}")
         for what in [*self._subscriptions]:
             self._close(what)
 
@@ -335,6 +336,10 @@ class MapSource:
         topic = f"{self._stem}/pose"
         infos = self._base.node.get_publishers_info_by_topic(topic)
         types = [POSES[one.topic_type] for one in infos if one.topic_type in POSES]
+        others = sorted({one.topic_type for one in infos} - POSES.keys())
+        text = f"{self._base.resolved(topic)!r} carries {', '.join(others)}, which is not read"
+        text += f"; wanted {' or '.join(POSES)}"
+        self._base.diagnostics.say(f"pose type {self.name}", text if others else None)
         if types and self._pose_type not in types:
             self._pose_type = types[0]
             # The topic gets its new type at the next look, without a reader of the old one.

@@ -16,7 +16,7 @@ import pytest
 pytest.importorskip("rclpy", reason="rclpy is absent: install the extra ros, or source a ROS")
 
 from geometry_msgs.msg import PoseWithCovarianceStamped
-from nav_msgs.msg import OccupancyGrid
+from nav_msgs.msg import OccupancyGrid, Odometry
 from nav_msgs.srv import GetMap
 from rosgraph_msgs.msg import Clock
 from scipy import ndimage
@@ -433,8 +433,12 @@ def test_a_silent_input_gives_no_pose_once_another_has_moved_on(
 ):
     followed, second = Followed(processes, observer, makers, "ab"), Pose2(4.0, 1.5, 0.3)
     followed.wait_at(Pose2(2.0, 1.5, 0.3), "the fused pose")
-    # As of slam_toolbox, which another SLAM had the name of before.
+    # As of slam_toolbox, which other nodes had the name of before.
     observer.node.destroy_publisher(followed.robot.poses["b"])
+    other = observer.publisher(Odometry, "b/pose")
+    words = "'/b/pose' carries nav_msgs/msg/Odometry, which is not read; wanted geometry_msgs"
+    observer.wait_status(FUSION, words)
+    observer.node.destroy_publisher(other)
     followed.robot.poses["b"] = observer.publisher(PoseWithCovarianceStamped, "b/pose")
     silent = followed.robot.poses.pop("a")
     observer.listen(2.5)
