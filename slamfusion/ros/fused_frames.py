@@ -256,7 +256,7 @@ class FusedFrames:
         """Send the odometry frame's transform at the stamp of the newest odometry."""
         settings = self._node.settings
         frames = settings.odom_frame, settings.base_frame
-        if not settings.publish_tf or settings.odom_frame == settings.fused_frame:
+        if not self._has_odom_frame:
             self._odom_frame = OdomFrame()
             self._node.diagnostics.clear("odometry of poses")
             self._node.diagnostics.clear("correction")
@@ -289,6 +289,11 @@ class FusedFrames:
             return ""
         topic = self._node.resolved(source.topic)
         return self._children.of(source.name, topic, source.frame)
+
+    @property
+    def _has_odom_frame(self) -> bool:
+        settings = self._node.settings
+        return settings.publish_tf and settings.odom_frame != settings.fused_frame
 
     def _read(self) -> None:
         self._state, solution = self._node.session.snapshot, self._node.drive.locator.solution
@@ -327,7 +332,7 @@ class FusedFrames:
             self._pose_topic.publish(
                 messages.sure_pose_to_message(pose, covariance, settings.fused_frame, stamp)
             )
-        if settings.publish_tf:
+        if self._has_odom_frame:
             self._correct(pose, heard.stamp_s)
 
     def _fresh(self, key: str, stamp: Any, value: Pose2, *, is_revised: bool) -> Any:

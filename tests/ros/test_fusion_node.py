@@ -372,10 +372,10 @@ class Followed:
     """A robot whose SLAMs send poses from 200 s on, and the fused poses of a started fusion."""
 
     def __init__(
-        self, processes: Processes, observer: Observer, makers: Makers, names: str
+        self, processes: Processes, observer: Observer, makers: Makers, names: str, **more: str
     ) -> None:
         self.poses = observer.collect(PoseWithCovarianceStamped, "fused/pose")
-        start_fusion(processes, publish_tf=True)
+        start_fusion(processes, publish_tf=True, **more)
         makers.send_all()
         wait_for_all(observer)
         self.transforms = told_transforms(observer)
@@ -451,25 +451,28 @@ def test_a_silent_input_gives_no_pose_once_another_has_moved_on(
     observer.node.destroy_publisher(silent)
 
 
+@pytest.mark.parametrize(("frame", "count"), [("odom", 1), ("fused_map", 0)])
 def test_poses_ahead_of_the_odometry_are_named_once_while_scans_have_theirs(
-    processes: Processes, observer: Observer, makers: Makers
+    processes: Processes, observer: Observer, makers: Makers, frame: str, count: int
 ):
-    robot, place = Followed(processes, observer, makers, "abc").robot, Pose2(2.0, 1.5, 0.3)
+    """Not at all if the odometry has the frame of the fused map, which gets no transform."""
+    robot = Followed(processes, observer, makers, "abc", odom_frame=frame).robot
+    place = Pose2(2.0, 1.5, 0.3)
     topic, scan = observer.publisher(LaserScan, "scan"), LaserScan(range_max=8.0, ranges=[1.0])
     scan.header.frame_id = "base_link"
     observer.wait(topic.get_subscription_count, what="the fusion")
-    for count in range(10):
+    for step in range(10):
         for name, publisher in robot.poses.items():
             ahead = messages.to_stamp(210.0)
             publisher.publish(messages.pose_to_message(place, f"{name}_map", ahead))
         observer.listen(0.1)
-        scan.header.stamp = stamp = messages.to_stamp(200.0 + 0.1 * count)
+        scan.header.stamp = stamp = messages.to_stamp(200.0 + 0.1 * step)
         robot.odometry.publish(messages.odometry_to_message(place, "odom", "base_link", stamp))
         topic.publish(scan)
         observer.listen(0.1)
     text = processes.running[-1].text()
-    words = "no odometry for fused_map -> odom"
-    assert text.count(words) == 1, text
-    observer.wait_status(FUSION, words)
+    words = f"no odometry for fused_map -> {frame}"
+    assert text.count(words) == count, text
+    observer.wait_status(FUSION, words if count else "")
     assert observer.set_parameter("fusion", "publish_tf", False).successful
     observer.wait(lambda: words not in observer.statuses()[FUSION].message, what="the end of it")
