@@ -41,6 +41,8 @@ REST_S = 0.1
 SAME = 1e-7
 # Keeps a quotient of two zeros 0.
 TINY = 1e-300
+# Why transforms are left out, and of how many pairs of frames without another one that is known.
+UNUSABLE, UNUSABLE_KEPT = "not finite or no rotation", 16
 
 
 class TransformError(SlamFusionError):
@@ -63,6 +65,7 @@ class Edge:
         stamps_s, rows: in the order of time, except a recording not yet sorted by ``samples``.
         heard_s: stamp of the last one received, used or not; seconds.
         gate: holds live transforms back whose stamps are far from the others.
+        is_unusable: whether the last one received was ``UNUSABLE``.
     """
 
     parent: str
@@ -72,6 +75,7 @@ class Edge:
     rows: list[Row] = field(default_factory=list)
     heard_s: float = 0.0
     gate: StampGate[tuple[float, Row]] = field(default_factory=_gate)
+    is_unusable: bool = False
     _sorted: tuple[F64, F64] | None = None
 
     def restart(self, *, is_static: bool) -> None:
@@ -148,6 +152,7 @@ class Edge:
         name = f"from {self.child!r} to {self.parent!r}"
         if wanted_s > stamps[-1] + hold_s:
             message = f"the newest transform {name} is {wanted_s - stamps[-1]:.3f} s too old"
+            message += f"; later ones are left out, {UNUSABLE}" if self.is_unusable else ""
             raise TransformError(message, may_come=True)
         if wanted_s < stamps[0] - hold_s:
             message = f"the oldest known transform {name} is {stamps[0] - wanted_s:.3f} s too new"
@@ -243,8 +248,8 @@ class TransformTree:
         self._keep_s = keep_s
         self._edges: dict[tuple[str, str], Edge] = {}
         self._ways: dict[tuple[str, str], list[Step] | None] = {}
-        # Transforms without usable values, for messages.
-        self._invalid: set[str] = set()
+        # Pairs of frames whose transforms are unusable, for messages.
+        self._unusable: list[str] = []
 
     @property
     def frames(self) -> set[str]:
@@ -285,11 +290,14 @@ class TransformTree:
         x, y, z, *turn = (float(value) for value in row)
         length = math.hypot(*turn)
         is_near = all(abs(value) <= FARTHEST_M for value in (x, y, z))
-        if not (is_near and SHORTEST < length < math.inf):
-            self._invalid.add(f"{parent!r} -> {child!r}")
-            return False
         parent, child = parent.lstrip("/"), child.lstrip("/")
-        if not parent or not child or parent == child:
+        is_usable = is_near and SHORTEST < length < math.inf
+        if (known := self._edges.get((parent, child))) is not None:
+            known.is_unusable = not is_usable
+        elif not is_usable:
+            names = dict.fromkeys([*self._unusable, f"{parent!r} -> {child!r}"])
+            self._unusable = [*names][-UNUSABLE_KEPT:]
+        if not is_usable or not parent or not child or parent == child:
             return False
         qx, qy, qz, qw = (value / length for value in turn)
         unit: Row = (x, y, z, qx, qy, qz, qw)
@@ -407,10 +415,8 @@ class TransformTree:
         if way is None:
             known = ", ".join(sorted(self.frames)) or "none"
             names = f"from {source.lstrip('/')!r} to {target.lstrip('/')!r}"
-            if self._invalid:
-                known += (
-                    f"; left out, not finite or no rotation: {', '.join(sorted(self._invalid))}"
-                )
+            if self._unusable:
+                known += f"; left out, {UNUSABLE}: {', '.join(sorted(self._unusable))}"
             raise TransformError(f"no transforms {names}; known frames: {known}", may_come=True)
         return way
 

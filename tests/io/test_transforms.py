@@ -46,10 +46,14 @@ def test_frames_that_nothing_connects() -> None:
     ],
 )
 def test_what_is_no_transform_is_refused(row: Row) -> None:
-    tree = TransformTree()
-    assert not tree.add("a", "b", 0.0, row)
-    with pytest.raises(TransformError, match="left out, not finite or no rotation: 'a' -> 'b'"):
+    tree = tree_of(("a", "c", 0.0, level(0, 0, 0)))
+    for child in ("c", *map(str, range(100)), "b"):
+        assert not tree.add("a", child, 1.0, row)
+    with pytest.raises(TransformError, match=r"not finite or no rotation: .*'a' -> 'b'") as refused:
         tree.mount("a", "b", 0.0)
+    assert len(str(refused.value)) < 300
+    with pytest.raises(TransformError, match=r"1\.000 s too old; later ones are left out, not fin"):
+        tree.mount("a", "c", 1.0)
 
 
 turns = st.lists(st.floats(-1, 1), min_size=4, max_size=4).filter(lambda q: np.linalg.norm(q) > 0.1)
