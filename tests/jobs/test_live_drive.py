@@ -381,9 +381,8 @@ def test_new_poses_are_located_on_the_solved_walls(device: ComputeDevice) -> Non
     robot.locator.take(replace(solution, walls=None))
     before = robot.locator.locate("a", 1e3, drifted)
     transforms = dict.fromkeys("abc", Pose2(5.0, 0.0, 0.0))
-    moved = replace(solution.evidence, transforms=transforms)
     path = replace(solution.path, poses=np.add(solution.path.poses, (5.0, 0.0, 0.0)))
-    robot.locator.take(replace(solution, walls=None, path=path, evidence=moved))
+    robot.locator.take(replace(solution, walls=None, path=path, transforms=transforms))
     after = robot.locator.locate("a", 1e3, drifted)
     assert before is not None
     assert after is not None

@@ -14,8 +14,10 @@ from slamfusion.evidence.predictive import SURE, PathEvidence
 from slamfusion.evidence.recommendation import LEAST_DIFFERENCE
 from slamfusion.fusion.live import Evidence
 from slamfusion.geometry import B8, F64, Pose2, fit_motion, moved_poses, with_levers
+from slamfusion.grid import OccupancyGrid
 from slamfusion.jobs.outputs import FUSED
 from slamfusion.trajectory import Trajectory
+from slamfusion.vote.lattice import Lattice
 
 # Covariance of a pose that is carried as the last poses of its input were: 5 cm, 0.02 rad.
 CARRIED: F64 = np.diag(np.square((0.05, 0.05, 0.02)))
@@ -60,26 +62,34 @@ class DriveSolution:
 
     Attributes:
         path: the fused path, at the scans that are kept, in the fused frame.
-        evidence: ``transforms`` carry the newest poses of the inputs onto the path; the input
-            whose last pose is nearest to it is first.
+        transforms: carry the newest poses of the inputs onto the path; the input whose last pose is
+            nearest to it is first.
         judgement: of the inputs; that of the last solution of the whole drive, or a newer one.
         is_final: whether it is the answer of ``run``.
+        lattice, drawn: see ``Evidence``.
         walls: seen by the scans along the path; new scans are matched to them.
         generation: counts the drives; a solution of one that was forgotten is not taken.
     """
 
     path: Trajectory
-    evidence: Evidence
+    transforms: Mapping[str, Pose2]
     judgement: Judgement
     is_final: bool
+    lattice: Lattice
+    drawn: OccupancyGrid | None
     walls: WallMap | None
     generation: int
 
     @property
+    def evidence(self) -> Evidence:
+        """What the fusion of the maps receives."""
+        return Evidence(self.transforms, self.judgement.doubts, self.lattice, self.drawn)
+
+    @property
     def supported(self) -> Mapping[str, Pose2]:
         """The transforms of the inputs that the scans do not contradict."""
-        motions, doubts = self.evidence.transforms, self.judgement.doubts
-        return {name: motion for name, motion in motions.items() if name not in doubts}
+        doubts = self.judgement.doubts
+        return {name: motion for name, motion in self.transforms.items() if name not in doubts}
 
 
 def _contradicted(evidence: PathEvidence, by: str = FUSED) -> list[str]:

@@ -17,7 +17,6 @@ from slamfusion.evidence.fused_path import visits
 from slamfusion.evidence.patches import WallMap
 from slamfusion.evidence.path_frames import moved_onto
 from slamfusion.evidence.predictive import PathEvidence, score_paths
-from slamfusion.fusion.live import Evidence
 from slamfusion.geometry import F64, Pose2, fit_motion, pose_of, with_levers
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io.files import return_freed_memory
@@ -107,9 +106,11 @@ class DriveSolver:
         covariance = judgement.disagreement + np.eye(3) * (DRIFT * _blind_m(path, blind_s)) ** 2
         return DriveSolution(
             path,
-            Evidence(corrections, judgement.doubts, own_lattice, drawn),
+            corrections,
             judgement,
             depth == "final",
+            own_lattice,
+            drawn,
             WallMap.of(scans, path, covariance),
             generation,
         )
@@ -123,8 +124,7 @@ class DriveSolver:
             return None
         solution, path = found
         judgement = Judgement.of(score_paths(scans, {**paths, FUSED: path}, self._device))
-        evidence = replace(solution.evidence, doubts=judgement.doubts)
-        return replace(solution, evidence=evidence, judgement=judgement)
+        return replace(solution, judgement=judgement)
 
     def _drawn(self, kept: Sequence[ScanHits], path: Trajectory, lattice: Lattice) -> OccupancyGrid:
         """Draw the map along a path; scans at the poses of the last map are not drawn again."""
@@ -185,7 +185,7 @@ class DriveSolver:
 
         That of a window is returned behind the path of the last solution.
         """
-        before, known = (None, None) if last is None else (last.path, last.evidence.lattice)
+        before, known = (None, None) if last is None else (last.path, last.lattice)
         if lattice is not None and lattice != known:
             voters = [paths[n].moved(transforms[n]) for n in transforms if n in paths]
             if voters:
