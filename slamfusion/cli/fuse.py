@@ -21,13 +21,10 @@ from slamfusion.jobs import outputs
 from slamfusion.jobs.inputs import LIKE_PAPER, GivenMaps, PixelSizes, device_for
 from slamfusion.jobs.records import Circumstances
 
-# Left out of the name of the maps that are written.
-OUT_ENDS = {".yaml", ".yml", ".pgm", ".png", outputs.STORE_END}
-
 
 def _files(out: Path, given: Mapping[str, Any]) -> list[Path]:
     """Return what may be written, also for groups that may be found, and such of earlier maps."""
-    stem, count = stem_of(out, OUT_ENDS), len(given["maps"]) // 2
+    stem, count = stem_of(out), len(given["maps"]) // 2
     while Path(f"{stem}-{count + 1}{outputs.AGREEMENT_END}.yaml").exists():
         count += 1
     stems = outputs.group_stems(stem, count)
@@ -129,7 +126,7 @@ def command(
         if not output.print_if_json(failed) and error.pairs:
             tables.print_pairs(error.pairs, device.name)
         raise
-    stem = stem_of(out, OUT_ENDS)
+    stem = stem_of(out)
     document = (
         fused.document()
         if store

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib
 import os
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +15,7 @@ import click
 from slamfusion.cli.output import notice
 from slamfusion.errors import SlamFusionError
 from slamfusion.io.files import refuse_overwriting
+from slamfusion.io.lines import MAP_SUFFIXES
 from slamfusion.jobs.cases import CaseFile, case_names
 from slamfusion.jobs.inputs import check_writable, is_yaml, map_file
 from slamfusion.jobs.outputs import STORE_END, TRIALS
@@ -88,9 +89,10 @@ FILE, CASE_FILE = InputPath(_read_of_file), CasePath(_read_of_file)
 MAP, CASE_MAP = InputPath(_read_of_map), CasePath(_read_of_map)
 
 
-def stem_of(out: Path, suffixes: Collection[str]) -> Path:
-    """Take ``-o OUT`` as the stem of files; one of their suffixes that was written is dropped."""
-    return out.with_suffix("") if out.suffix in suffixes else out
+def stem_of(out: Path) -> Path:
+    """Take ``-o OUT`` as the stem of files; the suffix of a map, a path or a record is dropped."""
+    is_file = out.suffix.lower() in {*MAP_SUFFIXES, ".tum", ".json", STORE_END}
+    return out.with_suffix("") if is_file else out
 
 
 def case_folders(folder: Path, files: Sequence[CaseFile]) -> list[Path]:

@@ -19,7 +19,7 @@ from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
 from slamfusion.io.files import open_regular
 from slamfusion.jobs.cases import case_of
-from slamfusion.jobs.outputs import PAGE, SUFFIXES, output_files
+from slamfusion.jobs.outputs import PAGE, output_files
 from slamfusion.json_values import record_keys
 
 
@@ -31,7 +31,7 @@ def _stems(stem: Path, seeds: Sequence[int]) -> dict[int | None, Path]:
 
 
 def _files(out: Path, given: Mapping[str, Any]) -> list[Path]:
-    stems = _stems(stem_of(out, SUFFIXES), given["seeds"]).values()
+    stems = _stems(stem_of(out), given["seeds"]).values()
     return [file for stem in stems for file in output_files(stem, probabilities=True)]
 
 
@@ -81,9 +81,9 @@ def _make_command(name: str) -> click.Command:
     @table_option
     def run(log: Path, out: Path, seeds: tuple[int, ...], **asked: Any) -> None:
         if not seeds:
-            _run(name, log, stem_of(out, SUFFIXES), **asked)
+            _run(name, log, stem_of(out), **asked)
         else:
-            _run_seeds(name, log, _stems(stem_of(out, SUFFIXES), seeds), **asked)
+            _run_seeds(name, log, _stems(stem_of(out), seeds), **asked)
 
     run.help = (
         f"Map a log with {record.summary}.\n\n"

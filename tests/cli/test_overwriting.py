@@ -36,7 +36,7 @@ CASES: dict[str, Case] = {
         "01-plan.png",
         "--report .",
     ),
-    "a map by its picture": ("fuse a.yaml b.yaml -o a.pgm", "a.yaml", "-o a.pgm"),
+    "a map by its picture": ("fuse a.yaml b.yaml -o a.BMP", "a.yaml", "-o a.BMP"),
     "a map beside a store": ("fuse a.yaml b.yaml -o a.zarr", "a.yaml", "-o a.zarr"),
     "a table": ("fuse a.yaml b.yaml -o x --config t.csv --table t.csv", "t.csv", "--table t.csv"),
     "a map of a run": ("run d.log --inputs mine.yaml -o run", "run/fused.pgm", "-o run"),
@@ -50,7 +50,7 @@ CASES: dict[str, Case] = {
     "a log": ("slam graph drive.yaml -o drive", "drive.yaml", "-o drive"),
     "a bag": ("slam graph bag -o bag/metadata", "bag/metadata.yaml", "-o bag/metadata"),
     "the true map of a SLAM": ("slam graph d.log --truth-map floor.yaml -o map", "map.pgm", ""),
-    "scan odometry": ("slam graph d.log --scan-odometry x.json -o x", "x.json", "-o x"),
+    "scan odometry": ("slam graph d.log --scan-odometry x.json -o x.yml", "x.json", "-o x"),
     "a state": ("slam gmapping d.log --resume s --save-state s -o x", "s", "--save-state s"),
     "a further table of a path": (
         "trajectory t-2.csv --truth p.tum --table t.csv",
