@@ -21,6 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from slamfusion.config import LogConfig
+from slamfusion.errors import counted
 from slamfusion.geometry import (
     F64,
     Pose2,
@@ -84,11 +85,12 @@ class Deskewing:
         if not self.scans and not self.without_motion:
             return []
         text = (
-            f"{self.scans} scans are deskewed: a sweep takes {self.sweep_s:.3f} s ({self.source}), "
-            f"and the robot turns by up to {math.degrees(self.largest_turn_rad):.1f} degrees in it"
+            f"{counted(self.scans, 'scan', 'are')} deskewed: a sweep takes {self.sweep_s:.3f} s "
+            f"({self.source}), and the robot turns by up to "
+            f"{math.degrees(self.largest_turn_rad):.1f} degrees in it"
         )
         if self.without_motion:
-            text += f"; {self.without_motion} are not, for their motion is not known"
+            text += f"; of {counted(self.without_motion, 'scan')} the motion is not known"
         return [text]
 
 

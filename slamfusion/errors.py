@@ -22,9 +22,11 @@ def shown(value: Any) -> str:
     return _SHORT.repr(value)
 
 
-def counted(count: int, noun: str) -> str:
-    """Return a number of things: ``1 pose``, ``2 poses``."""
-    return f"{count} {noun}{'s' * (count != 1)}"
+def counted(count: int, noun: str, verb: str = "") -> str:
+    """Return a number of things, ``2 poses``; with a verb, given as for many: ``1 pose is``."""
+    if count == 1:
+        return f"1 {noun} {'is' if verb == 'are' else verb and f'{verb}s'}".rstrip()
+    return f"{count} {noun}s {verb}".rstrip()
 
 
 def unknown(value: str, known: Iterable[str]) -> str:

@@ -364,7 +364,7 @@ def _run_several(
     reasons = []
     if failed := [f"{run.name}: {run.error}" for run in runs if run.error is not None]:
         words = "; ".join(failed)
-        reasons.append(f"{len(failed)} of {len(runs)} logs have no fused map ({words})")
+        reasons.append(f"no fused map of {len(failed)} of {len(runs)} logs ({words})")
     if partly := [run for run in runs if run.error is None and run.not_measured]:
         words = "; ".join(f"{run.name}: {', '.join(run.not_measured)}" for run in partly)
         count = f"of {len(partly)} of {len(runs)} logs"

@@ -19,7 +19,7 @@ from slamfusion.cli.help import Command, Number
 from slamfusion.cli.output import notice, print_if_json
 from slamfusion.cli.paths import FILE
 from slamfusion.config import FusionNodeConfig
-from slamfusion.errors import MapFileError, SlamFusionError
+from slamfusion.errors import MapFileError, SlamFusionError, counted
 from slamfusion.jobs import outputs
 from slamfusion.json_values import POSE_KEYS
 
@@ -264,7 +264,7 @@ def _read_maps(folder: Path, files: Mapping[str, Path]) -> Finished:
     inputs = [name for name in files if name not in {outputs.FUSED, outputs.AGREEMENT}]
     layers = {name: scene.layer_name(name) for name in inputs}
     entries = [scene.layer_status(layers[name], "in its own frame") for name in inputs]
-    words = f"{len(files)} maps; no record of their alignment"
+    words = f"{counted(len(files), 'map')}; no record of their alignment"
     found.scene.put_status(entries, headline=words, level="plain", figures={})
     paths = {layers[name]: folder / f"{name}.tum" for name in inputs}
     found.put_paths({scene.FUSED: folder / outputs.FUSED_PATH, **paths})
@@ -296,7 +296,7 @@ def _read_drive(folder: Path, drive: str) -> Finished:
     found.also = [name for name in names if name != chosen]
     what = "a true wall that it lacks is shown as unknown"
     entries = [layer_status(grid.name, what) for grid in maps]
-    words = f"{chosen}: {len(maps)} maps over the truth"
+    words = f"{chosen}: {counted(len(maps), 'map')} over the truth"
     figures = {"other drives, by --drive": ", ".join(found.also) or "none"}
     found.scene.put_status(entries, headline=words, level="plain", figures=figures)
     found.scene.put_map(TRUTH, truth, "fused")

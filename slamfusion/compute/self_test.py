@@ -15,7 +15,7 @@ from slamfusion.compute.compute_device import ComputeDevice, NumpyDevice
 from slamfusion.compute.lattice import fixed_poses, point_planes
 from slamfusion.compute.search import ScoredSide
 from slamfusion.compute.wall_pieces import PieceSide, piece_points
-from slamfusion.errors import DeviceError
+from slamfusion.errors import DeviceError, counted
 
 SHAPE = (33, 70)
 RNG = np.random.default_rng(1)
@@ -61,7 +61,7 @@ def self_test(device: ComputeDevice) -> list[tuple[str, bool, str]]:
         try:
             pairs = zip(operation(device), operation(NumpyDevice()), strict=True)
             wrong = sum(int(np.count_nonzero(own != twin)) for own, twin in pairs)
-            found = f"{wrong} values differ from its NumPy twin" if wrong else ""
+            found = f"{counted(wrong, 'value', 'differ')} from its NumPy twin" if wrong else ""
         except DeviceError as error:
             found = str(error)
         results.append((name, not found, found or "equals its NumPy twin"))

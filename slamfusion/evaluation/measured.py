@@ -270,8 +270,8 @@ class PathErrors:
         if (truth := self.truth) is not None:
             aligned = "aligned" if truth.alignment.kind == "se2" else "not aligned"
             notes.append(
-                f"{truth.poses_matched} of {truth.poses} poses met one of {truth.truth} within "
-                f"{truth.tolerance_s:g} s and cover {truth.covered_share:.0%} of its time, "
+                f"{truth.poses_matched} of {counted(truth.poses, 'pose')} met one of {truth.truth} "
+                f"within {truth.tolerance_s:g} s and cover {truth.covered_share:.0%} of its time, "
                 f"{aligned}; {counted(truth.rpe_pairs, 'pair')}"
             )
             if truth.time_offset_s:

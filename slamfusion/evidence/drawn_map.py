@@ -93,7 +93,9 @@ class MapDrawer:
         """Return the map of the scans that have a pose in the path."""
         resolution, origin = self.lattice.resolution, self.lattice.origin
         if not len(scans) or not len(path):
-            message = f"{path.name}: {len(scans)} scans and {len(path)} poses; a map needs both"
+            message = (
+                f"{path.name}: a map needs scans and poses, found {len(scans)} and {len(path)}"
+            )
             raise TrajectoryError(message)
         stamps_s = np.array([scan.stamp_s for scan in scans])
         near, meets = path.matches(stamps_s)

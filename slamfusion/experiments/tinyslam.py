@@ -14,7 +14,7 @@ from typing import cast, get_args
 import pandas as pd
 
 from slamfusion.config import CellModel, OccupancyEstimator, RunConfig
-from slamfusion.errors import LogError
+from slamfusion.errors import LogError, counted
 from slamfusion.evaluation.measured import GroundTruth, Row, figure_of, result_rows
 from slamfusion.experiments.page import Experiment
 from slamfusion.experiments.runs import Inputs, RunResult, Setup, Tell, run_all
@@ -72,7 +72,8 @@ def table_two() -> Experiment:
             rows += result_rows(case, "", f"{model} [H16]", {"value": paper})
             if f"{value:.3f}" != f"{paper:.3f}":
                 different.append(f"{model}, {case}: found {value:.3f}, wanted {paper:.3f}")
-    failure = f"{len(different)} values differ from Table II of [H16]: {'; '.join(different)}"
+    count = counted(len(different), "value", "differ")
+    failure = f"{count} from Table II of [H16]: {'; '.join(different)}"
     return Experiment(
         "cell-models",
         "A cell after 12 observations ([H16], Table II)",

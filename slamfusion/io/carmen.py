@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from slamfusion.config import LogConfig
-from slamfusion.errors import LogError, ScanError
+from slamfusion.errors import LogError, ScanError, counted
 from slamfusion.geometry import F64, Pose2, wrap_angle
 from slamfusion.grid import IDENTITY
 from slamfusion.io.files import write_atomic
@@ -422,7 +422,7 @@ def _notes(messages: Sequence[Message], words: Counter[bytes], *, is_twice: bool
     """Return notes on assumed angles and lines left out."""
     counts = Counter(len(one.ranges_m) for one in messages if one.kind != b"ROBOTLASER1")
     notes = [
-        f"{scans} scans of {beams} beams do not say their angles; taken: 180 degrees forward in "
+        f"{counted(scans, 'scan')} of {beams} beams without angles; taken: 180 degrees forward in "
         f"steps of {math.degrees(forward_angles(beams)[1]):.4g} degrees"
         for beams, scans in sorted(counts.items())
         if beams not in FORWARD_STEPS_RAD

@@ -31,7 +31,7 @@ import numpy.typing as npt
 import yaml
 
 from slamfusion.config import NormalizeConfig
-from slamfusion.errors import MapFileError
+from slamfusion.errors import MapFileError, counted
 from slamfusion.geometry import B8, F64, I8, U8, Pose2
 from slamfusion.grid import (
     FREE,
@@ -377,8 +377,9 @@ def load_map(
         )
     if count and (entry.rules.negate or not legacy_unknown):
         warn(
-            f"{path}: {count} cells of grey 205, which map savers write for unknown, do not read "
-            f"as unknown {_why_known(entry.rules, has_alpha=pixels.shape[2:] == (4,))}"
+            f"{path}: {counted(count, 'cell')} of grey 205, which map savers write for unknown, "
+            "cannot be read as unknown "
+            f"{_why_known(entry.rules, has_alpha=pixels.shape[2:] == (4,))}"
         )
     return OccupancyGrid(cells, entry.resolution, entry.origin, name or stem)
 

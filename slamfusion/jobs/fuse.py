@@ -357,7 +357,7 @@ def write_failed_fusion(
             sections.append(page.Section("Score over yaw", maps.YAW_TEXT, curves))
     facts = [
         page.Fact(f"0 of {len(grids)}", "maps fused", "bad"),
-        page.Fact(str(sum(pair.accepted for pair in pairs)), f"of {len(pairs)} pairs accepted"),
+        page.Fact(f"{sum(one.accepted for one in pairs)} of {len(pairs)}", "pairs accepted"),
     ]
     banner = page.Banner("bad", "Nothing was fused", [("", str(error))])
     report = page.Page("SLAMfusion report", banner, facts, sections, config, device)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
+from slamfusion.errors import counted
 from slamfusion.evaluation.measured import MeasuredPath
 from slamfusion.fusion.path_check import PATH_GAP_M
 from slamfusion.geometry import Pose2
@@ -93,7 +94,7 @@ def _facts(run: LogRun, measured: Sequence[MeasuredPath]) -> list[page.Fact]:
     facts = []
     for item in list(run.results.values())[:1]:
         length = f"{item.run.path_length_m:.0f} m in {item.run.duration_s:.0f} s"
-        facts.append(page.Fact(length, f"drive, {item.run.scans} scans"))
+        facts.append(page.Fact(length, f"drive, {counted(item.run.scans, 'scan')}"))
     if run.fusion.result is not None:
         facts += fusion_report.fusion_facts(run.fusion.result, len(run.failed))
     if run.path_gaps:

@@ -8,6 +8,7 @@ import numpy as np
 
 from slamfusion.align.records import FusionResult, InputRecord
 from slamfusion.config import RunConfig
+from slamfusion.errors import counted
 from slamfusion.evaluation.map_error import MapError
 from slamfusion.grid import CellBox, OccupancyGrid
 from slamfusion.palette import DISAGREEMENT_RGB
@@ -186,9 +187,9 @@ def _outvoted(record: InputRecord) -> str:
     known = record.aligned != -1
     inside = int(np.count_nonzero(known))
     if not inside:
-        return f"{cells} cells"
+        return counted(cells, "cell")
     share = 100.0 * int(np.count_nonzero(record.dissent & known)) / inside
-    return f"{cells} cells; {share:.1f} % of those it knows"
+    return f"{counted(cells, 'cell')}; {share:.1f} % of those it knows"
 
 
 def alignment_section(result: FusionResult) -> page.Section:

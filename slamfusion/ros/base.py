@@ -36,7 +36,7 @@ except ImportError:  # rclpy before 7.1.5
     from rclpy.executors import SingleThreadedExecutor as Executor
 
 from slamfusion.compute import ComputeDevice, open_device
-from slamfusion.errors import ConfigError
+from slamfusion.errors import ConfigError, counted
 from slamfusion.io.files import return_freed_memory
 from slamfusion.ros import qos
 from slamfusion.ros.parameters import TypedNode, missed_sections, unknown_parameters
@@ -328,7 +328,7 @@ class NodeBase:
             return f"it carries {', '.join(sorted({*found}))}; wanted {type_name(kind)}"
         if not found:
             return "no node publishes it"
-        return f"{found.count(type_name(kind))} node(s) could publish it"
+        return f"{counted(found.count(type_name(kind)), 'node')} could publish it"
 
     def open_device(self, wanted: str) -> ComputeDevice:
         """Open a compute device; its warnings stay in the diagnostics."""

@@ -24,7 +24,7 @@ from sensor_msgs.msg import LaserScan
 
 from slamfusion.config import LogConfig, PlayerNodeConfig
 from slamfusion.deskew import Deskewer
-from slamfusion.errors import ConfigError, LogError, SlamFusionError
+from slamfusion.errors import ConfigError, LogError, SlamFusionError, counted
 from slamfusion.geometry import Pose2
 from slamfusion.io.files import refuse_overwriting, user_path
 from slamfusion.io.log import LogScan, ScanLog
@@ -142,7 +142,7 @@ class PlayerNode(NodeBase):
                 again = f", {self._sent_again} of them again" if self._sent_again else ""
                 skipped = "; ".join(self._log.skips.sentences())
                 self.log.info(
-                    f"end of {self._log.path}: {self._sent} scans sent in "
+                    f"end of {self._log.path}: {counted(self._sent, 'scan')} sent in "
                     f"{time.monotonic() - began_s:.1f} s{again}"
                     f"{'; left out: ' if skipped else ''}{skipped}"
                 )
@@ -185,7 +185,9 @@ class PlayerNode(NodeBase):
                 if not wanted:
                     self.log.warning(f"no node listens on {topic!r}; playing all the same")
                     return
-                who = ", ".join(absent) or f"only {listeners} node(s) listen on {topic!r}"
+                who = (
+                    ", ".join(absent) or f"only {counted(listeners, 'node', 'listen')} on {topic!r}"
+                )
                 raise SlamFusionError(
                     f"waited {self.settings.start_timeout_s:g} s for {', '.join(wanted)}; "
                     f"missing: {who}"
@@ -259,7 +261,7 @@ class PlayerNode(NodeBase):
         self._shown_part = min(self._shown_part, part)  # smaller in a new round
         if self._shown_part < part < PARTS and now_s - self._shown_s >= APART_S:
             self._shown_part, self._shown_s = part, now_s
-            self.log.info(f"played {part / PARTS:.0%}: {self._sent} scans")
+            self.log.info(f"played {part / PARTS:.0%}: {counted(self._sent, 'scan')}")
 
     def _run_clock(self, stamp_s: float, since_s: float) -> None:
         """Wait until a scan is due, ``since_s`` after the last, and advance the clock meanwhile."""
@@ -333,7 +335,7 @@ class PlayerNode(NodeBase):
         with self._changed:
             maps, late = dict(self._maps), self._late(stamp_s)
         if is_early:
-            played = f"{self._sent} scans of {self._log.path}"
+            played = f"{counted(self._sent, 'scan')} of {self._log.path}"
             ends = "the maps that have come are saved" if maps else "no map has come to be saved"
             self.log.warning(f"stopped after {played}; {ends}")
             late = []

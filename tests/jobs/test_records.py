@@ -31,6 +31,11 @@ def test_numbers_are_words_that_people_write() -> None:
         *("0.00", "-0.01", "1.00", "2.00", "-")
     ]
     assert [counted(count, "pose") for count in range(3)] == ["0 poses", "1 pose", "2 poses"]
+    assert [counted(count, "scan", "are") for count in (1, 2)] == ["1 scan is", "2 scans are"]
+    assert [counted(count, "node", "listen") for count in (1, 2)] == [
+        "1 node listens",
+        "2 nodes listen",
+    ]
 
 
 MAKE = "python -m tests.support.make_schema"

@@ -381,7 +381,7 @@ def test_silence_is_named_and_ends(processes: Processes, observer: Observer):
     robot = Robot(observer)
     processes.node("tinyslam", scans_stale_s=0.5, odometry_wait_s=2.0)
     name = "tinyslam: slam"
-    status = observer.wait_status(name, "no scans on '/scan' yet; 1 node(s) could publish it")
+    status = observer.wait_status(name, "no scans on '/scan' yet; 1 node could publish it")
     assert status.level == DiagnosticStatus.STALE
     robot.wait_for()
     sent = scans(COUNT)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from slamfusion.config import LogConfig
-from slamfusion.errors import LogError
+from slamfusion.errors import LogError, counted
 from slamfusion.geometry import F64, Pose2, blend_poses, compose_poses, pose_of, quaternion_yaw_rad
 from slamfusion.io.bags.reader import SCAN_TYPES, TRANSFORM_TYPES, OpenBag, open_bag, stamp_s
 from slamfusion.io.log import FARTHEST_M, REACH_S
@@ -106,7 +106,8 @@ class BagFrames:
             unusable += message is None
         if unusable:
             self._bag.notes.append(
-                f"{unusable} transforms are not finite, no rotation, or not of two frames; left out"
+                f"{counted(unusable, 'transform', 'are')} not finite, no rotation, or not of two "
+                "frames; left out"
             )
 
     def _transform_topics(self) -> list[str]:
@@ -277,6 +278,8 @@ def _topic_poses(bag: OpenBag, topic: str) -> tuple[F64, Any]:
         first = message if first is None else first
         rows.append([stamp_s(message), *row])
     if unusable:
-        bag.notes.append(f"{unusable} messages on {topic} are no finite pose; left out")
+        bag.notes.append(
+            f"{counted(unusable, 'message')} on {topic} without a finite pose; left out"
+        )
     table = np.array(rows).reshape(-1, 8)
     return table[np.unique(table[:, 0], return_index=True)[1]], first

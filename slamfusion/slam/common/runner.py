@@ -14,7 +14,7 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from slamfusion.errors import SlamFusionError
+from slamfusion.errors import SlamFusionError, counted
 from slamfusion.geometry import F64
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io.log import LogRecord, LogScan, ScanLog
@@ -267,4 +267,4 @@ def _nothing_used(mapper: Mapper, record: LogRecord | None, fed: int) -> str:
         reasons += record.notes
     if fed:
         reasons.append("give a log whose scans see walls within the usable range")
-    return f"{where}{mapper.name} could use none of {fed} scans: {'; '.join(reasons)}"
+    return f"{where}{mapper.name} could use none of {counted(fed, 'scan')}: {'; '.join(reasons)}"
