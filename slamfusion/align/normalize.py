@@ -23,6 +23,11 @@ from slamfusion.vote.lattice import SAME_RESOLUTION, Lattice
 ALIGNED_BYTES_PER_CELL, BYTES_PER_CELL, VOTED_BYTES_PER_CELL = 4, 24, 7
 # Largest side of a map that is aligned at full resolution, cells.
 ALIGNED_CELLS = 3000
+# Greatest ratio of a map's cells to the fused ones. Walls are compared within 0.15 m, too fine for
+# cells of a metre; and cells of 1 mm make a hall too large.
+RATIO_MAX = 16.0
+# Ratio from which a cell size looks like centimetres or millimetres.
+UNITS_RATIO = 99.0
 # To spare memory copies are coarser, down to this number of cells together, up to this cell size in
 # metres, at which walls of a building are still separate.
 SPARING_CELLS, SPARING_CELL_M = 2**27, 0.15
@@ -82,6 +87,19 @@ def common_resolution(grids: list[OccupancyGrid], config: NormalizeConfig) -> fl
     if config.resolution is not None:
         return config.resolution
     return min(grid.resolution for grid in grids)
+
+
+def odd_resolution(size: float, typical: float) -> str | None:
+    """Return in words that cells are too coarse or too fine for others, or None; m per cell."""
+    ratio = max(size / typical, typical / size)
+    if ratio <= RATIO_MAX:
+        return None
+    word = "coarser" if size > typical else "finer"
+    said = (
+        f"cells of {size:g} m are {ratio:.4g} times {word} than those of the others ({typical:g} "
+        f"m); {RATIO_MAX:g} times can be fused"
+    )
+    return f"{said}; is one in other units than metres?" if ratio >= UNITS_RATIO else said
 
 
 def check_resampling(

@@ -14,18 +14,13 @@ from slamfusion.align.normalize import (
     coarsening,
     common_resolution,
     normalize_grid,
+    odd_resolution,
 )
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig
 from slamfusion.errors import GridError
 from slamfusion.grid import OccupancyGrid, row_parts
 from slamfusion.io.files import return_freed_memory
-
-# Greatest ratio of a map's cells to the fused ones. Walls are compared within 0.15 m, too fine for
-# cells of a metre; and cells of 1 mm make a hall too large.
-RATIO_MAX = 16.0
-# Ratio from which a cell size looks like centimetres or millimetres.
-UNITS_RATIO = 99.0
 
 
 class PreparedInputs:
@@ -130,16 +125,3 @@ def odd_resolutions(resolutions: Mapping[str, float]) -> dict[str, str]:
     typical = sorted(resolutions.values())[len(resolutions) // 2]
     reasons = {name: odd_resolution(size, typical) for name, size in resolutions.items()}
     return {name: reason for name, reason in reasons.items() if reason is not None}
-
-
-def odd_resolution(size: float, typical: float) -> str | None:
-    """Return in words that cells are too coarse or too fine for others, or None; m per cell."""
-    ratio = max(size / typical, typical / size)
-    if ratio <= RATIO_MAX:
-        return None
-    word = "coarser" if size > typical else "finer"
-    said = (
-        f"cells of {size:g} m are {ratio:.4g} times {word} than those of the others ({typical:g} "
-        f"m); {RATIO_MAX:g} times can be fused"
-    )
-    return f"{said}; is one in other units than metres?" if ratio >= UNITS_RATIO else said

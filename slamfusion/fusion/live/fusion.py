@@ -13,12 +13,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from slamfusion.align.normalize import common_resolution
+from slamfusion.align.normalize import common_resolution, odd_resolution
 from slamfusion.align.starts import place_starts
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import LiveConfig, RunConfig
 from slamfusion.errors import SlamFusionError
-from slamfusion.fusion.inputs import odd_resolution
 from slamfusion.fusion.live.align import Aligner
 from slamfusion.fusion.live.inputs import Fit, Input, Reason, State
 from slamfusion.fusion.live.limits import too_large, unusable

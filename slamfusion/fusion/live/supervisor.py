@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from slamfusion.align.normalize import common_resolution
+from slamfusion.align.normalize import common_resolution, odd_resolution
 from slamfusion.config import SMALLEST
 from slamfusion.errors import AlignmentError, MemoryBudgetError, SlamFusionError
 from slamfusion.fusion.groups import AlignedGroup, align_group
-from slamfusion.fusion.inputs import odd_resolution, odd_resolutions
+from slamfusion.fusion.inputs import odd_resolutions
 from slamfusion.fusion.live.align import Aligner
 from slamfusion.fusion.live.inputs import CHANGED_SHARE, RESTARTED_SHARE, Input, Reason
 from slamfusion.fusion.live.layers import Change
