@@ -236,7 +236,10 @@ def choose_path(
         Two names, and metres by name; empty if the fused path is not the one to use.
     """
     ranking = [name for name in evidence.ranking() if name in slams]
-    best = ranking[0]
+    # Of paths that the scans do not tell apart, the one with poses for the most of them.
+    known = {name: np.isfinite(evidence.scores[name].poses[:, 0]).sum() for name in ranking}
+    tied = [name for name in ranking[1:] if evidence.compare(ranking[0], name).verdict != "better"]
+    best = max((ranking[0], *tied), key=known.__getitem__)
     if fused is None or fused not in evidence.scores:
         return best, best, {}
     if evidence.compare(best, fused).verdict == "better":
