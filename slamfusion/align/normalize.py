@@ -117,15 +117,9 @@ def check_resampling(
     resolution = common_resolution(list(grids), config)
     own_cells = [_cells_at(grid, resolution) for grid in grids]
     largest = grids[own_cells.index(max(own_cells))]
-    finest = min(grids, key=lambda grid: grid.resolution)
     said = (
         f"{what} {sum(own_cells)} known-box cells at {resolution:g} m (this map: {max(own_cells)})"
     )
-    if config.resolution is None and finest.resolution < largest.resolution:
-        said += (
-            f", the cell size of {finest.name}, to which this map's {largest.resolution:g} m is "
-            "brought (is it right? fusion.normalize.resolution sets another),"
-        )
     factor = coarsening(grids, resolution, is_sparing=is_stored)
     looked_at = sum(sorted(own_cells)[-LEAST_KEPT:])
     needed = sum(own_cells) * ALIGNED_BYTES_PER_CELL

@@ -78,6 +78,7 @@ MAP_SUFFIXES = (".yaml", ".yml", ".pgm", ".png", ".bmp", ".pnm", ".dxf")
 KINDS = {
     ".tum": "a path; `slamfusion trajectory` and `judge` read paths, and the true path is "
     "--truth-trajectory of `run`, --truth of other commands",
+    ".zip": "a zip; `slamfusion compare` reads those of --save-results",
     ".zarr": "a store of fused maps; the Python package zarr reads it, and a map that is not too "
     "large is also in the YAML file next to it",
     **dict.fromkeys(

@@ -48,7 +48,7 @@ def read_yaml(
         _check_nodes(node)
         return loader.construct_document(node)
     except UnicodeDecodeError:
-        message = f"{path}: wanted {what} in UTF-8, found other bytes; save it as UTF-8"
+        message = f"{path}: wanted {what} in UTF-8, found other bytes; unpack it or save it so"
         raise error(message) from None
     except Exception as failure:  # noqa: BLE001 - values that are none fail in PyYAML in many ways
         reason = "a value that is none of its kind"

@@ -12,7 +12,6 @@ import pytest
 from slamfusion.align.align import align_pair, track_pair
 from slamfusion.align.pair import Pair
 from slamfusion.compute import ComputeDevice
-from slamfusion.errors import GridError
 from slamfusion.fusion import align_grids
 from slamfusion.geometry import Pose2, wrap_angle
 from slamfusion.json_values import record_keys
@@ -168,12 +167,6 @@ def test_the_fixed_step_search_finds_a_small_motion(device: ComputeDevice, step:
     shift, turn = off_by(moving, found.transform, motion)
     assert shift <= 1.5
     assert turn <= 1.0 + 1e-6
-
-
-def test_cells_in_other_units_are_refused_at_once(device: ComputeDevice) -> None:
-    grid = building(1)
-    with pytest.raises(GridError, match=r"cm: cells of 10 m are 100 times coarser .* other units"):
-        align_grids(grid, replace(grid, resolution=10.0, name="cm"), QUICK, device)
 
 
 def test_far_origins_do_not_matter(device: ComputeDevice) -> None:

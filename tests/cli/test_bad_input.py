@@ -37,16 +37,8 @@ def test_a_store_that_exists_is_one_line(tmp_path: Path) -> None:
     assert [item.name for item in tmp_path.iterdir()] == ["out.zarr"]
 
 
-IN_MEMORY = ("map_a: ", "at 0.0001 m", "the cell size of map,", "is brought", "GiB of memory")
-IN_UNITS = ("500 times finer than those of the others (0.05 m)", "in other units than metres?")
-
-
-@pytest.mark.parametrize(
-    ("command", "words"), [("align", IN_MEMORY), ("evaluate", IN_MEMORY), ("fuse", IN_UNITS)]
-)
-def test_cell_sizes_that_differ_too_much_are_refused(
-    tmp_path: Path, command: str, words: tuple[str, ...]
-) -> None:
+@pytest.mark.parametrize("command", ["align", "evaluate", "fuse"])
+def test_cell_sizes_that_differ_too_much_are_refused(tmp_path: Path, command: str) -> None:
     """The finest cell decides: another map of 15 m would have 2e10 cells."""
     text = YAML.replace("resolution: 0.05", "resolution: 0.0001")
     fine = write_map(tmp_path, text, bytes(20 * [0, 254]) * SIZE)
@@ -57,7 +49,7 @@ def test_cell_sizes_that_differ_too_much_are_refused(
     }
     limits = {resource.RLIMIT_AS: 4 * 2**30}
     done = run(command, *arguments[command], "--device", "numpy", limits=limits)
-    assert_one_line_failure(done, *words)
+    assert_one_line_failure(done, "500 times ", "in other units than metres?")
     assert not (tmp_path / "out.yaml").exists()
 
 

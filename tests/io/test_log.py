@@ -82,12 +82,12 @@ def test_an_unknown_extension_is_refused_whatever_is_inside(tmp_path: Path, name
 
 
 def test_a_path_or_a_map_is_not_to_be_renamed(tmp_path: Path) -> None:
-    with pytest.raises(LogError, match="found a path; `slamfusion trajectory` and `judge`"):
-        open_log(write_lines(tmp_path / "graph.tum", "1 0 0 0 0 0 0 1"))
-    with pytest.raises(
-        LogError, match=r"found a log that ends in '\.scans'; rename it by its kind"
+    for name, line, words in (
+        ("graph.tum", "1 0 0 0 0 0 0 1", "found a path; `slamfusion trajectory` and `judge`"),
+        ("results.zip", "PK", "found a zip; `slamfusion compare` reads those of --save-results"),
+        ("drive.scans", flaser(1), "found a log that ends in '.scans'; rename it by its kind"),
     ):
-        open_log(write_lines(tmp_path / "drive.scans", flaser(1)))
+        assert words in refusal(write_lines(tmp_path / name, line))
 
 
 @pytest.mark.parametrize("name", ["a.log", "a.clf", "a.txt", "a.dat"])
