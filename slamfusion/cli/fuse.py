@@ -19,20 +19,20 @@ from slamfusion.errors import AlignmentError
 from slamfusion.fleet import executor_for
 from slamfusion.jobs import outputs
 from slamfusion.jobs.inputs import LIKE_PAPER, GivenMaps, PixelSizes, device_for
+from slamfusion.jobs.outputs import AGREEMENT_END
 from slamfusion.jobs.records import Circumstances
 
 
 def _files(out: Path, given: Mapping[str, Any]) -> list[Path]:
     """Return what may be written, also for groups that may be found, and such of earlier maps."""
     stem, count = stem_of(out), len(given["maps"]) // 2
-    while Path(f"{stem}-{count + 1}{outputs.AGREEMENT_END}.yaml").exists():
+    while Path(f"{stem}-{count + 1}{AGREEMENT_END}.yaml").exists():
         count += 1
-    stems = outputs.group_stems(stem, count)
-    maps = [f"{stem}{end}" for stem in stems for end in ("", outputs.AGREEMENT_END)]
-    return [
-        Path(f"{stems[0]}.json"),
-        *(file for name in maps for file in outputs.map_files(Path(name), "pgm", "png")),
+    maps = [
+        f"{own}{end}" for own in outputs.group_stems(stem, count) for end in ("", AGREEMENT_END)
     ]
+    files = [Path(f"{name}{end}") for name in maps for end in (".yaml", ".pgm", ".png")]
+    return [Path(f"{stem}.json"), *files]
 
 
 @click.command(
@@ -158,7 +158,7 @@ def _print_result(fused: jobs.fuse.FusedMaps, stem: Path, report_dir: Path | Non
     quoted = shlex.quote(f"{stem}.yaml")
     output.print_facts(
         ("fused map", f"{stem}.yaml"),
-        *[("agreement", f"{stem}{outputs.AGREEMENT_END}.yaml")] * output.is_verbose(),
+        *[("agreement", f"{stem}{AGREEMENT_END}.yaml")] * output.is_verbose(),
         *(
             (f"group {number}", f"{own}.yaml ({', '.join(item.name for item in other.accepted)})")
             for number, (other, own) in enumerate(zip(others, stems, strict=True), start=2)

@@ -120,10 +120,9 @@ def has_only_yaml(context: click.Context) -> bool:
 
 @contextmanager
 def checked_paths(context: click.Context, given: Mapping[str, Any]) -> Iterator[None]:
-    """Refuse outputs that replace inputs or each other, or cannot be written; name those that stay.
+    """Refuse outputs that replace inputs or each other, or cannot be written.
 
-    After a command that wrote its outputs, files of the same names that it did not write are of an
-    earlier command and look like its own.
+    After the command, name those that it did not write: of an earlier one, they look like its own.
     """
     reads: list[tuple[Path, Path]] = []
     writes: list[tuple[str, Path]] = []

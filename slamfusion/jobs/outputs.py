@@ -74,19 +74,13 @@ def possible_outputs(folder: Path) -> list[Path]:
 
     names = producer_names()
     files = [path for name in names for path in output_files(folder / name, probabilities=True)]
-    files += [path for name in (FUSED, AGREEMENT, DRAWN) for path in map_files(folder / name)]
-    return [*files, folder / FUSED_PATH, folder / RUN_RECORD]
+    maps = [f"{name}{end}" for name in (FUSED, AGREEMENT, DRAWN) for end in (".yaml", ".pgm")]
+    return [*files, *(folder / name for name in (*maps, FUSED_PATH, RUN_RECORD))]
 
 
 def group_stems(stem: Path, count: int) -> list[Path]:
     """Return the paths, without suffix, of the fused maps of groups: OUT, OUT-2, OUT-3 ..."""
     return [stem, *(stem.with_name(f"{stem.name}-{number}") for number in range(2, count + 1))]
-
-
-def map_files(stem: Path, *image_formats: str) -> list[Path]:
-    """Return the files of a map, without suffix: its YAML and its picture."""
-    suffixes = (".yaml", *(f".{form}" for form in image_formats or ("pgm",)))
-    return [stem.with_name(stem.name + suffix) for suffix in suffixes]
 
 
 def plan_files(folder: Path) -> list[Path]:

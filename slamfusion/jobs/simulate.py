@@ -11,11 +11,9 @@ from pathlib import Path
 from slamfusion import sim
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
-from slamfusion.jobs.inputs import Progress, device_for
+from slamfusion.jobs.inputs import Progress, device_for, is_yaml
 from slamfusion.jobs.records import Settings
 from slamfusion.json_values import FLAT
-
-SUFFIXES = {".yaml", ".yml"}
 
 
 @dataclass(frozen=True)
@@ -89,7 +87,7 @@ def choose_course(course: str | Path, config: RunConfig, *, seed: int | None = N
         SimulationError: there is no such course, or the file is damaged.
     """
     path = Path(course)
-    if path.suffix.lower() in SUFFIXES or path.is_file():
+    if is_yaml(path) or path.is_file():
         chosen = sim.load_course(path, config.seed)
         if seed is not None:
             chosen = replace(chosen, seed=seed)
