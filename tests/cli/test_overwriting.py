@@ -128,9 +128,8 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name in ("x.json", "run/fused.json", "here/trials/one.json", "r/report.html"):
         (folder / name).write_text("{}", encoding="utf-8")
     (folder / "t.csv").write_text("{}", encoding="utf-8")
-    poses = ["p.tum", "q.tum", "one.tum", "one/b.tum", "one/c.tum"]
-    kept = ("here/occupancy-estimator.csv", "here/cell-models-trajectories.csv")
-    poses += ["t-2.csv", "r.zip", "s", "g.g2o", "run/graph.tum", "run/fused.tum", *kept]
+    poses = ["p.tum", "q.tum", "one.tum", "one/b.tum", "here/cell-models-trajectories.csv", SWEEP]
+    poses += ["one/c.tum", "t-2.csv", "r.zip", "s", "g.g2o", "run/graph.tum", "run/fused.tum"]
     for name in poses:
         (folder / name).write_text("1 0 0 0 0 0 0 1\n", encoding="utf-8")
     courses = {"here/course.yaml": "office", "here/my.yaml": "truth.yaml", "other.yaml": "office"}
