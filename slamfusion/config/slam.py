@@ -51,56 +51,40 @@ class TinySlamConfig(Checked):
     usable_range_m: float = option(30.0, "longer readings are not used", low=0.1, high=1000.0)
 
 
-# What a field of ``GmappingConfig`` that is left open becomes.
-GMAPPING_PROFILES: dict[str, dict[str, Any]] = {
-    "published": {
-        "particles": 30,
-        "delta": 0.05,
-        "sigma": 0.05,
-        "kernelSize": 1,
-        "lstep": 0.05,
-        "astep": 0.05,
-        "iterations": 5,
-        "lsigma": 0.075,
-        "ogain": 3.0,
-        "lskip": 0,
-        "minimumScore": 0.0,
-        "srr": 0.1,
-        "srt": 0.2,
-        "str": 0.1,
-        "stt": 0.2,
-        "linearUpdate": 1.0,
-        "angularUpdate": 0.5,
-        "temporalUpdate": -1.0,
-        "resampleThreshold": 0.5,
-        "llsamplerange": 0.01,
-        "llsamplestep": 0.01,
-        "lasamplerange": 0.005,
-        "lasamplestep": 0.005,
-        "occ_thresh": 0.25,
-        "map_update_interval": 5.0,
-        "match_every_scan": False,
-        "climb_loss": 0.0,
-        "memory_budget": 0.0,
-    },
-    "own": {},
+# What a field of ``GmappingConfig`` that is left open becomes: as published, and our own.
+_GMAPPING_VALUES: dict[str, tuple[Any, Any]] = {
+    "particles": (30, 30),
+    "delta": (0.05, 0.05),
+    "sigma": (0.05, 0.01),
+    "kernelSize": (1, 2),
+    "lstep": (0.05, 0.05),
+    "astep": (0.05, 0.05),
+    "iterations": (5, 5),
+    "lsigma": (0.075, 0.02),
+    "ogain": (3.0, 3.0),
+    "lskip": (0, 0),
+    "minimumScore": (0.0, 0.0),
+    "srr": (0.1, 0.05),
+    "srt": (0.2, 0.05),
+    "str": (0.1, 0.05),
+    "stt": (0.2, 0.05),
+    "linearUpdate": (1.0, 0.3),
+    "angularUpdate": (0.5, 0.2),
+    "temporalUpdate": (-1.0, -1.0),
+    "resampleThreshold": (0.5, 0.5),
+    "llsamplerange": (0.01, 0.01),
+    "llsamplestep": (0.01, 0.01),
+    "lasamplerange": (0.005, 0.005),
+    "lasamplestep": (0.005, 0.005),
+    "occ_thresh": (0.25, 0.25),
+    "map_update_interval": (5.0, 5.0),
+    "match_every_scan": (False, True),
+    "climb_loss": (0.0, 0.005),
+    "memory_budget": (0.0, 480.0),
 }
-
-
-GMAPPING_PROFILES["own"] = {
-    **GMAPPING_PROFILES["published"],
-    "kernelSize": 2,
-    "sigma": 0.01,
-    "lsigma": 0.02,
-    "srr": 0.05,
-    "srt": 0.05,
-    "str": 0.05,
-    "stt": 0.05,
-    "linearUpdate": 0.3,
-    "angularUpdate": 0.2,
-    "match_every_scan": True,
-    "climb_loss": 0.005,
-    "memory_budget": 480.0,
+GMAPPING_PROFILES: dict[str, dict[str, Any]] = {
+    profile: {key: values[place] for key, values in _GMAPPING_VALUES.items()}
+    for place, profile in enumerate(("published", "own"))
 }
 
 
