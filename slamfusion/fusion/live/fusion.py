@@ -19,8 +19,7 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.config import LiveConfig, RunConfig
 from slamfusion.errors import SlamFusionError
 from slamfusion.fusion.live.align import Aligner
-from slamfusion.fusion.live.inputs import Fit, Input, Reason, State
-from slamfusion.fusion.live.limits import too_large, unusable
+from slamfusion.fusion.live.inputs import Fit, Input, Reason, State, too_large, unusable
 from slamfusion.fusion.live.mailbox import Evidence, InputMessage, Mailbox
 from slamfusion.fusion.live.poses import PoseWatch
 from slamfusion.fusion.live.state import LiveState, StateError

@@ -15,8 +15,7 @@ from slamfusion.align.features import GridFeatures
 from slamfusion.align.normalize import normalize_grid
 from slamfusion.align.records import Alignment
 from slamfusion.fusion.live.align import Aligner, AnchorMap, explained
-from slamfusion.fusion.live.inputs import GROWN_SHARE, Input, Reason
-from slamfusion.fusion.live.limits import unusable
+from slamfusion.fusion.live.inputs import GROWN_SHARE, Input, Reason, unusable
 from slamfusion.geometry import Pose2
 from slamfusion.grid import IDENTITY, OccupancyGrid
 

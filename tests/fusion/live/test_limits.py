@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from slamfusion.config import NormalizeConfig
-from slamfusion.fusion.live.limits import too_large, unusable
+from slamfusion.fusion.live.inputs import too_large, unusable
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import files
