@@ -34,8 +34,8 @@ from slamfusion.io import LogScan
 from slamfusion.jobs.fused_path import fuse_weighed_paths
 from slamfusion.jobs.inputs import LogFiles
 from slamfusion.jobs.live_drive import DriveLocator, DriveMemory, DriveSolution, DriveSolver, Pace
-from slamfusion.jobs.live_drive.pace import STILL_S, Depth
 from slamfusion.jobs.live_drive.solution import PARTS
+from slamfusion.jobs.live_drive.solver import STILL_S, Depth
 from slamfusion.sim import named_course, simulate, write_recording
 from slamfusion.slam.registry import BUILT_IN, make_producer, with_producers
 from slamfusion.trajectory import Trajectory

@@ -17,8 +17,8 @@ from slamfusion.fusion.live import LiveFusion
 from slamfusion.geometry import Pose2, fit_motion, moved_poses, with_levers
 from slamfusion.jobs.fused_path import fuse_weighed_paths
 from slamfusion.jobs.live_drive import DriveSolution, Pace, locating, memory, solver
-from slamfusion.jobs.live_drive.pace import Depth
 from slamfusion.jobs.live_drive.solution import DRIFT
+from slamfusion.jobs.live_drive.solver import Depth
 from slamfusion.trajectory import Trajectory
 from slamfusion.vote.lattice import Lattice
 from tests.evidence.rooms import circuit, recorded

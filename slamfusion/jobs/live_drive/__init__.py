@@ -14,8 +14,7 @@ and memory.
 
 from slamfusion.jobs.live_drive.locating import DriveLocator
 from slamfusion.jobs.live_drive.memory import DriveMemory
-from slamfusion.jobs.live_drive.pace import Pace
 from slamfusion.jobs.live_drive.solution import DriveSolution
-from slamfusion.jobs.live_drive.solver import DriveSolver
+from slamfusion.jobs.live_drive.solver import DriveSolver, Pace
 
 __all__ = ["DriveLocator", "DriveMemory", "DriveSolution", "DriveSolver", "Pace"]
