@@ -11,8 +11,14 @@ from slamfusion.errors import AlignmentError, MemoryBudgetError, SlamFusionError
 from slamfusion.fusion.groups import AlignedGroup, align_group
 from slamfusion.fusion.inputs import odd_resolutions
 from slamfusion.fusion.live.align import Aligner
-from slamfusion.fusion.live.inputs import CHANGED_SHARE, RESTARTED_SHARE, Input, Reason, too_large
-from slamfusion.fusion.live.layers import Change
+from slamfusion.fusion.live.inputs import (
+    CHANGED_SHARE,
+    RESTARTED_SHARE,
+    Change,
+    Input,
+    Reason,
+    too_large,
+)
 from slamfusion.fusion.live.recovery import Anchor, turn_all
 from slamfusion.geometry import Pose2
 from slamfusion.vote.lattice import Lattice

@@ -18,8 +18,7 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig, LiveConfig
 from slamfusion.errors import MemoryBudgetError
 from slamfusion.fusion.lattice_vote import bent_maps
-from slamfusion.fusion.live.inputs import Input, Reason
-from slamfusion.fusion.live.layers import Layer, carry
+from slamfusion.fusion.live.inputs import Input, Layer, Reason, carry
 from slamfusion.fusion.live.state import LiveState
 from slamfusion.geometry import I8, U8, Pose2
 from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, CellBox, OccupancyGrid, trinary_cells

@@ -13,7 +13,7 @@ from scipy import ndimage
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig, LiveConfig, NormalizeConfig, RunConfig, VoteConfig
 from slamfusion.fusion.live import LiveFusion, LiveInput, LiveUpdate
-from slamfusion.fusion.live.layers import Layer, lay_out
+from slamfusion.fusion.live.inputs import Layer, lay_out
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OCCUPIED, CellBox, OccupancyGrid
 from tests.fusion.drawings import building, degraded

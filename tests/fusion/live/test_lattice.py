@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from slamfusion.compute import ComputeDevice
-from slamfusion.fusion.live.layers import carry
+from slamfusion.fusion.live.inputs import carry
 from slamfusion.geometry import Pose2
 from slamfusion.grid import CellBox
 from slamfusion.vote.lattice import Lattice

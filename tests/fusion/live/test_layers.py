@@ -11,7 +11,7 @@ import pytest
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig, LiveConfig, NormalizeConfig, VoteConfig
 from slamfusion.errors import MemoryBudgetError
-from slamfusion.fusion.live.layers import Layer
+from slamfusion.fusion.live.inputs import Layer
 from slamfusion.fusion.live.voting import FusedLayers
 from slamfusion.geometry import Pose2
 from slamfusion.grid import CellBox, trinary_cells
