@@ -31,14 +31,17 @@ from slamfusion.fusion.groups import Members, Progress
 from slamfusion.geometry import I8, Pose2
 from slamfusion.grid import OCCUPIED, UNKNOWN, CellBox, OccupancyGrid
 from slamfusion.io.files import check_memory
-from slamfusion.vote.agreement import AGREEING, Trust, WallCounts, second_opinion
 from slamfusion.vote.lattice import Lattice
 from slamfusion.vote.tiles import (
+    AGREEING,
     SMALL_TILE,
     TILE,
     DecidedTile,
     GridLayer,
     TileVoter,
+    Trust,
+    WallCounts,
+    second_opinion,
     sum_counts,
     worst_place,
 )

@@ -14,8 +14,7 @@ from slamfusion.config import FusionMode, VoteConfig
 from slamfusion.fusion import FusionResult
 from slamfusion.geometry import I8, Pose2
 from slamfusion.grid import CellBox, OccupancyGrid
-from slamfusion.vote.agreement import Trust
-from slamfusion.vote.tiles import TileVoter
+from slamfusion.vote.tiles import TileVoter, Trust
 from tests.fusion.test_lattice_vote import SIZE, voted
 
 # A room, its outer walls, and one wall inside from the south up to row 30.

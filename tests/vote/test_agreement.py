@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from slamfusion.config import FusionMode
-from slamfusion.vote.agreement import WallCounts, trust_of
+from slamfusion.vote.tiles import WallCounts, trust_of
 from tests.support.examples import examples
 from tests.vote.rooms import EDGE, HEIGHT, INNER, WIDTH, bent, cells_of, decide, fuse, moved, room
 

@@ -23,9 +23,8 @@ from slamfusion.fusion.live.state import LiveState
 from slamfusion.geometry import I8, U8, Pose2
 from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, CellBox, OccupancyGrid, trinary_cells
 from slamfusion.io.files import check_memory
-from slamfusion.vote.agreement import Trust, WallCounts, count_walls, trust_of
 from slamfusion.vote.lattice import Lattice
-from slamfusion.vote.tiles import TileVoter
+from slamfusion.vote.tiles import TileVoter, Trust, WallCounts, count_walls, trust_of
 from slamfusion.vote.walls import codes_on, margin_cells
 
 # Bytes of a fused cell with its copies, and of a cell of a layer.
