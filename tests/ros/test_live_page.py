@@ -22,8 +22,8 @@ from websockets.sync.client import ClientConnection, connect
 from slamfusion.config import FusionNodeConfig
 from slamfusion.errors import ConfigError
 from slamfusion.fusion.live import LiveInput, State
+from slamfusion.fusion.live.fusion import InputMessage
 from slamfusion.fusion.live.inputs import Fit
-from slamfusion.fusion.live.mailbox import InputMessage
 from slamfusion.fusion.live.session import FusedMap, FusionState
 from slamfusion.geometry import Pose2
 from slamfusion.palette import FREE_RGB, UNKNOWN_RGB, WALL_RGB

@@ -9,7 +9,7 @@ import pytest
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig, NormalizeConfig, RunConfig
 from slamfusion.fusion.live import LiveFusion, State
-from slamfusion.fusion.live.mailbox import Mailbox
+from slamfusion.fusion.live.fusion import Mailbox
 from slamfusion.io import files
 from tests.fusion.live.maps import Drive, live_fusion, three, touched
 
