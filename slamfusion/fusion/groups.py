@@ -17,6 +17,7 @@ from slamfusion.align.features import GridFeatures
 from slamfusion.align.pair import Pair
 from slamfusion.align.records import Alignment
 from slamfusion.align.starts import Starts, named_input
+from slamfusion.compute import ComputeDevice
 from slamfusion.config import SMALLEST, FusionConfig
 from slamfusion.errors import AlignmentError, ConfigError
 from slamfusion.fleet import tasks_ahead
@@ -36,6 +37,24 @@ LEAST_FUSED = 2
 THOROUGH_PAIRS = 15
 # An input of more cells keeps no fields after its last pair: they are some 30 bytes a cell.
 KEPT_CELLS = 1 << 22
+
+
+@dataclass(frozen=True, eq=False)
+class FusionSetup:
+    """What all steps of a fusion take; see ``fuse_grids``.
+
+    Attributes:
+        is_stored: the vote runs tile by tile: no fused map stays in memory, and only one input at a
+            time.
+    """
+
+    config: FusionConfig
+    device: ComputeDevice
+    progress: Progress | None = None
+    second_look: SecondLook | None = None
+    starts: Starts | None = None
+    executor: Executor | None = None
+    is_stored: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,12 +101,8 @@ class AlignedGroup(Members):
 def align_group(
     features: dict[str, GridFeatures],
     reasons: dict[str, str],
-    config: FusionConfig,
+    setup: FusionSetup,
     names: Sequence[str],
-    progress: Progress | None = None,
-    second_look: SecondLook | None = None,
-    starts: Starts | None = None,
-    executor: Executor | None = None,
 ) -> AlignedGroup:
     """Align pairs, find the groups that fit together, and choose their frames.
 
@@ -96,14 +111,13 @@ def align_group(
     Args:
         features: the inputs that can be aligned, by name, all at one resolution.
         reasons: why the other inputs cannot.
-        config: settings of the search; ``reference`` may name the reference.
         names: all inputs, in order.
 
     Raises:
         AlignmentError: fewer than two of several inputs agree; ``pairs`` holds the alignments.
         ConfigError: the reference named in the config is no member.
     """
-    aligner = _Aligner(features, config, progress, second_look, starts or Starts(), executor)
+    config, aligner = setup.config, _Aligner(features, setup)
     search = GroupSearch(
         features, aligner.candidates(), aligner.align, aligner.count, aligner.ahead
     )
@@ -144,18 +158,10 @@ class _Aligner:
     requested costs time and changes nothing: an alignment depends on its two maps only.
     """
 
-    def __init__(
-        self,
-        features: dict[str, GridFeatures],
-        config: FusionConfig,
-        progress: Progress | None,
-        second_look: SecondLook | None,
-        starts: Starts,
-        executor: Executor | None,
-    ) -> None:
-        self.features, self.config = features, config.align
+    def __init__(self, features: dict[str, GridFeatures], setup: FusionSetup) -> None:
+        self.features, self.setup = features, setup
         self.count = count = math.comb(len(features), 2)
-        self.progress, self.second_look, self.starts = progress, second_look, starts
+        self.starts, executor = setup.starts or Starts(), setup.executor
         self.is_thorough, self.last = count <= THOROUGH_PAIRS, next(reversed(features), "")
         self.done, self.steps = 0, count if self.is_thorough else len(features) - 1
         self.run = partial(align_pair, thorough=self.is_thorough)
@@ -169,8 +175,8 @@ class _Aligner:
 
     def tell(self, what: str, done: int) -> None:
         """Report the stage and the number of alignments done."""
-        if self.progress is not None:
-            self.progress(what, done, max(self.steps, done))
+        if self.setup.progress is not None:
+            self.setup.progress(what, done, max(self.steps, done))
 
     def align(self, a: str, b: str) -> Alignment:
         """Align two inputs by name, and apply what else is known of them."""
@@ -183,7 +189,8 @@ class _Aligner:
         if self.is_thorough and b == self.last and math.prod(large.shape) > KEPT_CELLS:
             large.release()
             return_freed_memory()
-        return found if self.second_look is None else self.second_look(found, pair)
+        look = self.setup.second_look
+        return found if look is None else look(found, pair)
 
     def ahead(self, coming: Iterable[tuple[str, str]]) -> None:
         """Start the first of the pairs that are likely to be requested next."""
@@ -203,7 +210,7 @@ class _Aligner:
         """Return the task of a pair; start it if it was not started yet."""
         names = pair.reference.grid.name, pair.moving.grid.name
         if names not in self.tasks:
-            given = pair, self.config, self.starts.between(*names), self.count
+            given = pair, self.setup.config.align, self.starts.between(*names), self.count
             self.tasks[names] = self.executor.submit(self.run, *given)
         return self.tasks[names]
 

@@ -16,9 +16,8 @@ from slamfusion.align.normalize import (
     normalize_grid,
     odd_resolution,
 )
-from slamfusion.compute import ComputeDevice
-from slamfusion.config import FusionConfig
 from slamfusion.errors import GridError
+from slamfusion.fusion.groups import FusionSetup
 from slamfusion.grid import OccupancyGrid, row_parts
 from slamfusion.io.files import return_freed_memory
 
@@ -31,22 +30,9 @@ class PreparedInputs:
         reasons: why the others cannot, by name.
     """
 
-    def __init__(
-        self,
-        grids: Sequence[OccupancyGrid],
-        config: FusionConfig,
-        device: ComputeDevice,
-        *,
-        is_stored: bool = False,
-    ) -> None:
-        """Normalise every input.
-
-        Args:
-            config: ``normalize`` is used.
-
-        Raises:
-            MemoryBudgetError: the grids are too large for the memory that is free.
-        """
+    def __init__(self, grids: Sequence[OccupancyGrid], setup: FusionSetup) -> None:
+        """Normalise every input; MemoryBudgetError: they are too large for the free memory."""
+        config, device, is_stored = setup.config, setup.device, setup.is_stored
         check_resampling(grids, config.normalize, "fusing", is_stored=is_stored)
         self._grids = {grid.name: grid for grid in grids}
         self._config, self._device = config.normalize, device

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, TypeAlias, TypeVar
@@ -27,7 +26,7 @@ from slamfusion.compute.lattice import fixed_cells, fixed_poses
 from slamfusion.compute.layout import FIXED_ONE, MOST_INPUTS
 from slamfusion.config import FusionConfig
 from slamfusion.fleet import in_order
-from slamfusion.fusion.groups import Members, Progress
+from slamfusion.fusion.groups import FusionSetup, Members
 from slamfusion.geometry import I8, Pose2
 from slamfusion.grid import OCCUPIED, UNKNOWN, CellBox, OccupancyGrid
 from slamfusion.io.files import check_memory
@@ -128,9 +127,7 @@ class LatticeVote:
     lattice: Lattice
     prepared: Mapping[str, npt.NDArray[Any]] | None = None
 
-    def trusting(
-        self, executor: Executor | None = None, progress: Progress | None = None
-    ) -> LatticeVote:
+    def trusting(self, setup: FusionSetup) -> LatticeVote:
         """Return the vote with the trust in its inputs, from all of their walls."""
         if not self.voter.weighs:
             return self
@@ -138,7 +135,7 @@ class LatticeVote:
         is_small = max(whole.shape) <= TILE and len(self.layers) <= MOST_INPUTS
         if is_small and all(isinstance(layer, GridLayer) for layer in self.layers.values()):
             vote = replace(self, prepared=_shown(self.voter, whole, self.layers))
-        found = vote.each(count_tile, "compare", executor, progress)
+        found = vote.each(count_tile, "compare", setup)
         voter = self.voter.trusting(sum_counts([counts for _, counts in found]))
         return replace(vote, voter=voter)
 
@@ -146,25 +143,23 @@ class LatticeVote:
         self,
         task: Callable[[TileVoter, CellBox, Mapping[str, Any]], Result],
         what: str,
-        executor: Executor | None = None,
-        progress: Progress | None = None,
+        setup: FusionSetup,
     ) -> Iterator[tuple[CellBox, Result]]:
         """Yield the result of a task for each tile of ``TILE`` cells on a side.
 
         Args:
             task: ``count_tile``; ``decide_tile`` or ``decide_parts`` with their device.
             what: name of the stage, for ``progress``.
-            executor: runs the tasks; None: they run here.
 
         Raises:
             GridError: more inputs than a vote takes know one place.
         """
         tiles = list(self.voter.whole.tiles(TILE))
         calls = ((self.voter, tile, self.prepared or self._under(tile)) for tile in tiles)
-        for done, made in enumerate(in_order(executor, task, calls)):
+        for done, made in enumerate(in_order(setup.executor, task, calls)):
             yield tiles[done], made
-            if progress is not None:
-                progress(what, done + 1, len(tiles))
+            if setup.progress is not None:
+                setup.progress(what, done + 1, len(tiles))
 
     def _under(self, tile: CellBox) -> dict[str, Layer]:
         """Return the layers with the cells that a tile needs."""
@@ -192,11 +187,10 @@ class LatticeVote:
         inputs: tuple[InputRecord, ...],
         phantom_cells: int,
         worst: Sequence[Mapping[str, tuple[int, int, int]]],
-        config: FusionConfig,
-        device: ComputeDevice,
+        setup: FusionSetup,
     ) -> dict[str, Any]:
         """Return what a fusion in memory and one in a store have in common; see ``Fusion``."""
-        trust, left_out = self.voter.trust, {}
+        config, trust, left_out = setup.config, self.voter.trust, {}
         if config.vote.extent != "union":
             left_out = {
                 item.name: self.lattice.area_outside(
@@ -212,16 +206,12 @@ class LatticeVote:
             "weights": self.voter.weights,
             "wall_agreement": self.voter.wall_agreement,
             "bent": bent_maps(trust, worst, self.lattice),
-            "device": device.name,
+            "device": setup.device.name,
             "left_out_m2": {name: area for name, area in left_out.items() if area > 0.0},
         }
 
     def in_memory(
-        self,
-        grids: Sequence[OccupancyGrid],
-        others: Mapping[str, InputRecord],
-        config: FusionConfig,
-        device: ComputeDevice,
+        self, grids: Sequence[OccupancyGrid], others: Mapping[str, InputRecord], setup: FusionSetup
     ) -> FusionResult:
         """Run the vote, and keep the fused map and the layers; see ``records``.
 
@@ -231,7 +221,8 @@ class LatticeVote:
         fused = np.full(self.voter.whole.shape, UNKNOWN, dtype=np.int8)
         agreement = np.full_like(fused, UNKNOWN)
         phantom_cells, worst = 0, []
-        for _, decided_parts in self.each(partial(decide_parts, device=device), "vote"):
+        task = partial(decide_parts, device=setup.device)
+        for _, decided_parts in self.each(task, "vote", setup):
             for part, decided in decided_parts:
                 window = part.slices()
                 fused[window], agreement[window] = decided.fused, decided.agreement
@@ -246,7 +237,7 @@ class LatticeVote:
         fused.flags.writeable = agreement.flags.writeable = False
         inputs, lattice = self.records(grids, others), self.lattice
         return FusionResult(
-            **self.outcome(inputs, phantom_cells, worst, config, device),
+            **self.outcome(inputs, phantom_cells, worst, setup),
             fused=OccupancyGrid(fused, lattice.resolution, lattice.origin, "fused"),
             agreement=OccupancyGrid(agreement, lattice.resolution, lattice.origin, "agreement"),
         )
@@ -271,26 +262,17 @@ def vote_in_memory(
         GridError: more inputs than a vote takes know one place.
         MemoryBudgetError: the fused map is too large for the memory that is free.
     """
-    first, *more = prepare_votes(groups, lattices, config, device)
+    setup = FusionSetup(config, device)
+    first, *more = prepare_votes(groups, lattices, setup)
     others = {**others, **contradicting(grids, groups[0], first, more)}
-    result = first.in_memory(grids, others, config, device)
-    return replace(result, others=tuple(vote.in_memory(grids, {}, config, device) for vote in more))
+    result = first.in_memory(grids, others, setup)
+    return replace(result, others=tuple(vote.in_memory(grids, {}, setup) for vote in more))
 
 
 def prepare_votes(
-    groups: Sequence[Members],
-    lattices: Lattices,
-    config: FusionConfig,
-    device: ComputeDevice,
-    executor: Executor | None = None,
-    progress: Progress | None = None,
-    *,
-    is_stored: bool = False,
+    groups: Sequence[Members], lattices: Lattices, setup: FusionSetup
 ) -> list[LatticeVote]:
     """Resample the inputs of groups on their fused lattices, and find the trust in each.
-
-    Args:
-        is_stored: no fused map stays in memory, and only one input at a time.
 
     Returns:
         The vote of each group, or those of two parts of it that contradict each other.
@@ -300,30 +282,21 @@ def prepare_votes(
     """
     votes = []
     for group in groups:
-        vote = _prepare(group, lattices, config, device, is_stored=is_stored)
-        vote = vote.trusting(executor, progress)
+        vote = _prepare(group, lattices, setup).trusting(setup)
         trust = vote.voter.trust
         apart = () if trust is None else second_opinion(trust)
         if apart:
             deciding = [name for name in group.alignments if name not in apart]
             parts = (group.part(deciding), group.part(apart))
-            votes += prepare_votes(
-                parts, lattices, config, device, executor, progress, is_stored=is_stored
-            )
+            votes += prepare_votes(parts, lattices, setup)
         else:
             votes.append(vote)
     return votes
 
 
-def _prepare(
-    group: Members,
-    lattices: Lattices,
-    config: FusionConfig,
-    device: ComputeDevice,
-    *,
-    is_stored: bool,
-) -> LatticeVote:
+def _prepare(group: Members, lattices: Lattices, setup: FusionSetup) -> LatticeVote:
     """Prepare the vote of one group; see ``prepare_votes``."""
+    config, is_stored = setup.config, setup.is_stored
     base = lattices(group.reference)
     lattice, box = base.lattice, base.box
     is_union = config.vote.extent == "union"
@@ -336,7 +309,7 @@ def _prepare(
             box = box.hull(covered)
         else:
             own = own.overlap(box) or CellBox(box.row0, box.col0, box.row0, box.col0)
-        cells = warp_onto(grid, pair.transform, lattice, own, device)
+        cells = warp_onto(grid, pair.transform, lattice, own, setup.device)
         laid[name] = PackedLayer.of(own, cells) if is_stored else GridLayer(own.shape, own, cells)
     if not is_stored:
         check_memory(

@@ -14,7 +14,14 @@ from slamfusion.align.starts import Starts, named_input
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig
 from slamfusion.errors import AlignmentError, ConfigError
-from slamfusion.fusion.groups import LEAST_FUSED, Members, Progress, SecondLook, align_group
+from slamfusion.fusion.groups import (
+    LEAST_FUSED,
+    FusionSetup,
+    Members,
+    Progress,
+    SecondLook,
+    align_group,
+)
 from slamfusion.fusion.inputs import PreparedInputs, find_copies, odd_resolutions
 from slamfusion.fusion.lattice_vote import Lattices, vote_in_memory
 from slamfusion.grid import OccupancyGrid
@@ -52,7 +59,8 @@ def fuse_grids(
         MemoryBudgetError: the grids are too large for the memory that is free.
     """
     began = time.perf_counter()
-    aligned = align_inputs(grids, config, device, progress, second_look, starts, executor)
+    setup = FusionSetup(config, device, progress, second_look, starts, executor)
+    aligned = align_inputs(grids, setup)
     result = vote_in_memory(grids, aligned.groups, aligned.lattices, aligned.others, config, device)
     return replace(result, pairs=aligned.pairs, time_s=time.perf_counter() - began)
 
@@ -73,40 +81,25 @@ class AlignedInputs:
     others: Mapping[str, InputRecord]
 
 
-def align_inputs(
-    grids: Sequence[OccupancyGrid],
-    config: FusionConfig,
-    device: ComputeDevice,
-    progress: Progress | None = None,
-    second_look: SecondLook | None = None,
-    starts: Starts | None = None,
-    executor: Executor | None = None,
-    *,
-    is_stored: bool = False,
-) -> AlignedInputs:
-    """Bring the grids into one frame; see ``fuse_grids``.
-
-    ``is_stored``: the vote runs tile by tile, with little memory.
-    """
-    check_votes(config.vote)
+def align_inputs(grids: Sequence[OccupancyGrid], setup: FusionSetup) -> AlignedInputs:
+    """Bring the grids into one frame; see ``fuse_grids``."""
+    check_votes(setup.config.vote)
     if not grids:
         raise AlignmentError("wanted at least one map to fuse, found none")
     names = [grid.name for grid in grids]
     if twice := sorted({name for name in names if names.count(name) > 1}):
         raise ConfigError(f"inputs need distinct names; given twice: {', '.join(twice)}")
     odd = odd_resolutions({grid.name: grid.resolution for grid in grids})
-    copies = _copies(grids, config, starts)
+    copies = _copies(grids, setup)
     voters = [grid for grid in grids if grid.name not in copies and grid.name not in odd]
-    prepared = PreparedInputs(voters, config, device, is_stored=is_stored)
+    prepared = PreparedInputs(voters, setup)
     reasons = {name: reason for name, reason in odd.items() if name not in copies}
     reasons |= prepared.reasons
     try:
-        group = align_group(
-            prepared.features, reasons, config, names, progress, second_look, starts, executor
-        )
+        group = align_group(prepared.features, reasons, setup, names)
     except AlignmentError as error:
         whole = [grid for grid in voters if grid.name not in prepared.reasons]
-        wrong = _wrong_resolutions(whole, config, device, second_look)
+        wrong = _wrong_resolutions(whole, setup)
         if not wrong:
             raise
         words = "; ".join(f"{name}: {why}" for name, why in wrong.items())
@@ -121,9 +114,7 @@ def align_inputs(
     by_name = {grid.name: grid for grid in grids}
     alone = set(shown) - {name for members in group.others for name in members.alignments}
     looked_at = [group.reference, *(name for name in shown if name in alone)]
-    reasons |= _wrong_resolutions(
-        [by_name[name] for name in looked_at], config, device, second_look
-    )
+    reasons |= _wrong_resolutions([by_name[name] for name in looked_at], setup)
     others = {
         grid.name: InputRecord(grid, shown.get(grid.name), False, reasons[grid.name])
         for grid in grids
@@ -159,27 +150,22 @@ def vote_again(result: FusionResult, config: FusionConfig, device: ComputeDevice
     return replace(voted, pairs=result.pairs, time_s=time.perf_counter() - began)
 
 
-def _wrong_resolutions(
-    grids: Sequence[OccupancyGrid],
-    config: FusionConfig,
-    device: ComputeDevice,
-    second_look: SecondLook | None,
-) -> dict[str, str]:
+def _wrong_resolutions(grids: Sequence[OccupancyGrid], setup: FusionSetup) -> dict[str, str]:
     """Return wrong resolutions in words, if that of the first map is right.
 
     Only for a few saved maps: the SLAMs of one drive have one resolution.
     """
-    if second_look is not None or not 1 < len(grids) <= 1 + LOOKED_AT or config.align.step:
+    is_few, config = 1 < len(grids) <= 1 + LOOKED_AT, setup.config
+    if setup.second_look is not None or not is_few or config.align.step:
         return {}
     reference, *left_out = grids
-    words = {grid.name: wrong_resolution(reference, grid, config, device) for grid in left_out}
+    words = {it.name: wrong_resolution(reference, it, config, setup.device) for it in left_out}
     return {name: said for name, said in words.items() if said is not None}
 
 
-def _copies(
-    grids: Sequence[OccupancyGrid], config: FusionConfig, starts: Starts | None
-) -> dict[str, str]:
+def _copies(grids: Sequence[OccupancyGrid], setup: FusionSetup) -> dict[str, str]:
     """Return the inputs without a vote as copies, and their voters; reject copies alone."""
+    starts, config = setup.starts, setup.config
     if config.keep_duplicates:
         return {}
     names = [grid.name for grid in grids]

@@ -13,12 +13,12 @@ from pathlib import Path
 import numpy as np
 
 from slamfusion.align.records import Alignment, Fusion, FusionResult, InputRecord
-from slamfusion.align.starts import Starts, place_starts
+from slamfusion.align.starts import place_starts
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
 from slamfusion.errors import AlignmentError, SlamFusionError
 from slamfusion.fusion import fuse_grids
-from slamfusion.fusion.groups import LEAST_FUSED
+from slamfusion.fusion.groups import LEAST_FUSED, FusionSetup
 from slamfusion.fusion.lattice_vote import contradicting, decide_tile, prepare_votes
 from slamfusion.fusion.pipeline import align_inputs
 from slamfusion.grid import OCCUPIED, OccupancyGrid
@@ -182,7 +182,10 @@ def fuse_maps(
     device = inputs.device_for(config, device)
     try:
         if store is not None:
-            return _fuse_into(Path(store), grids, config, device, starts, given, executor, progress)
+            setup = FusionSetup(
+                config.fusion, device, progress, None, starts, executor, is_stored=True
+            )
+            return _fuse_into(Path(store), grids, config, setup, given)
         result = fuse_grids(
             grids, config.fusion, device, progress, starts=starts, executor=executor
         )
@@ -207,26 +210,19 @@ def _fuse_into(
     store: Path,
     grids: Sequence[OccupancyGrid],
     config: RunConfig,
-    device: ComputeDevice,
-    starts: Starts,
+    setup: FusionSetup,
     given: inputs.GivenMaps,
-    executor: Executor | None,
-    progress: inputs.Progress | None,
 ) -> FusedMaps:
     """Fuse maps tile by tile into a store; in memory are the inputs and a few tiles."""
-    began_s, fusion = time.perf_counter(), config.fusion
-    aligned = align_inputs(
-        grids, fusion, device, progress, starts=starts, executor=executor, is_stored=True
-    )
+    began_s = time.perf_counter()
+    aligned = align_inputs(grids, setup)
     left_out = [aligned.others[grid.name] for grid in grids if grid.name in aligned.others]
     rejected = [item for item in left_out if not item.accepted and item.copy_of is None]
-    if fusion.require_all and rejected:
+    if config.fusion.require_all and rejected:
         raise AllRequiredError(rejected, aligned.pairs)
-    votes = prepare_votes(
-        aligned.groups, aligned.lattices, fusion, device, executor, progress, is_stored=True
-    )
+    votes = prepare_votes(aligned.groups, aligned.lattices, setup)
     others = {**aligned.others, **contradicting(grids, aligned.groups[0], votes[0], votes[1:])}
-    stores, task = group_stores(store, len(votes)), partial(decide_tile, device=device)
+    stores, task = group_stores(store, len(votes)), partial(decide_tile, device=setup.device)
     results: list[Fusion] = []
     # Each store is put in place when all are written.
     with ExitStack() as open_stores:
@@ -238,7 +234,7 @@ def _fuse_into(
                 path, (outputs.FUSED, AGREEMENT_ARRAY), shape, TILE, size, origin, facts
             )
             opened, phantom_cells, worst = open_stores.enter_context(arrays), 0, []
-            for box, decided in vote.each(task, "vote", executor, progress):
+            for box, decided in vote.each(task, "vote", setup):
                 if decided is not None:
                     cells = np.where(decided.fused == 1, np.int8(OCCUPIED), decided.fused)
                     opened.write(outputs.FUSED, box, cells)
@@ -246,8 +242,7 @@ def _fuse_into(
                     phantom_cells += decided.phantom_cells
                     worst.append(decided.worst)
             records = vote.records(grids, {} if results else others)
-            outcome = vote.outcome(records, phantom_cells, worst, fusion, device)
-            results.append(Fusion(**outcome))
+            results.append(Fusion(**vote.outcome(records, phantom_cells, worst, setup)))
     stems = tuple(
         path.with_suffix("") if vote.voter.whole.area <= FILES_CELLS else None
         for vote, path in zip(votes, stores, strict=True)

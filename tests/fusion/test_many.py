@@ -12,11 +12,11 @@ from slamfusion.align.features import GridFeatures
 from slamfusion.align.pair import Pair
 from slamfusion.align.records import Alignment
 from slamfusion.align.starts import StartPose, Starts
-from slamfusion.compute import ComputeDevice
+from slamfusion.compute import ComputeDevice, NumpyDevice
 from slamfusion.errors import AlignmentError
 from slamfusion.fusion import grouping, groups
 from slamfusion.fusion.grouping import rank_pairs
-from slamfusion.fusion.groups import AlignedGroup, Members, align_group
+from slamfusion.fusion.groups import AlignedGroup, FusionSetup, Members, align_group
 from slamfusion.geometry import Pose2
 from tests.fusion.drawings import features_of, fusion_config
 from tests.support.sites import ManyMaps, many_maps
@@ -43,7 +43,7 @@ def transforms(group: Members) -> dict[str, Pose2]:
 
 
 def aligned(features: dict[str, GridFeatures], **more: Any) -> AlignedGroup:
-    return align_group(features, {}, QUICK, list(features), **more)
+    return align_group(features, {}, FusionSetup(QUICK, NumpyDevice(), **more), list(features))
 
 
 def test_pairs_that_share_ground_are_more_promising_than_all_others(

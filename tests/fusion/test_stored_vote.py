@@ -10,6 +10,7 @@ import pytest
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.fusion import lattice_vote
+from slamfusion.fusion.groups import FusionSetup
 from slamfusion.fusion.lattice_vote import LatticeVote, decide_tile, prepare_votes
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
@@ -18,9 +19,8 @@ from tests.fusion.test_lattice_vote import SIZE, Placed, Places, placed, scatter
 
 def packed(inputs: Placed, device: ComputeDevice) -> LatticeVote:
     """Return the vote of packed maps."""
-    (vote,) = prepare_votes(
-        [inputs.members], inputs.normalized.__getitem__, inputs.config, device, is_stored=True
-    )
+    setup = FusionSetup(inputs.config, device, is_stored=True)
+    (vote,) = prepare_votes([inputs.members], inputs.normalized.__getitem__, setup)
     return vote
 
 
@@ -30,11 +30,11 @@ def both_votes(
     """Return fused cells, agreement, phantom cells and origin of a vote in memory and in tiles."""
     whole = voted(places, device, **vote)
     inputs = placed(places, device, **vote)
-    ready = packed(inputs, device)
+    ready, setup = packed(inputs, device), FusionSetup(inputs.config, device)
     shape = ready.voter.whole.shape
     fused, agreement = np.full(shape, -1, np.int8), np.full(shape, -1, np.int8)
     phantom_cells = 0
-    for tile, decided in ready.each(partial(decide_tile, device=device), "vote"):
+    for tile, decided in ready.each(partial(decide_tile, device=device), "vote", setup):
         if decided is None:
             continue
         window = np.s_[tile.row0 : tile.row1, tile.col0 : tile.col1]

@@ -8,7 +8,7 @@ from dataclasses import replace
 from slamfusion.align.normalize import common_resolution, odd_resolution
 from slamfusion.config import SMALLEST
 from slamfusion.errors import AlignmentError, MemoryBudgetError, SlamFusionError
-from slamfusion.fusion.groups import AlignedGroup, align_group
+from slamfusion.fusion.groups import AlignedGroup, FusionSetup, align_group
 from slamfusion.fusion.inputs import odd_resolutions
 from slamfusion.fusion.live.align import Aligner
 from slamfusion.fusion.live.inputs import (
@@ -131,7 +131,8 @@ class InputSupervisor:
         resolution = common_resolution(grids, config.normalize)
         try:
             features = {one.name: one.features(resolution) for one in usable}
-            group = align_group(features, {}, config, list(features), starts=aligner.starts)
+            setup = FusionSetup(config, aligner.layers.device, starts=aligner.starts)
+            group = align_group(features, {}, setup, list(features))
         except MemoryError:
             message = f"no memory is left to align {len(usable)} maps at {resolution:g} m a cell"
             raise MemoryBudgetError(message) from None
