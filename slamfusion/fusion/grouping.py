@@ -19,11 +19,13 @@ import math
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
-from slamfusion.align.align import track_pair
+from slamfusion.align.align import THREADS, align_pair, track_pair
 from slamfusion.align.answer import conclude
 from slamfusion.align.features import GridFeatures
 from slamfusion.align.hypotheses import is_distinct
@@ -31,20 +33,24 @@ from slamfusion.align.pair import Pair, displacement
 from slamfusion.align.records import Alignment
 from slamfusion.align.search import SearchResult
 from slamfusion.align.shifts import parallel_shifts
+from slamfusion.align.starts import Starts
+from slamfusion.compute import ComputeDevice
 from slamfusion.compute.lattice import cells_at
-from slamfusion.config import AlignConfig
+from slamfusion.config import AlignConfig, FusionConfig
+from slamfusion.fleet import tasks_ahead
 from slamfusion.geometry import F64, Pose2, pose_of, row_of
 from slamfusion.grid import UNKNOWN
+from slamfusion.io.files import return_freed_memory
 from slamfusion.pose_graph.graph import PoseGraph
 from slamfusion.pose_graph.optimize import optimize
 from slamfusion.pose_graph.uncertainty import inverted, moved
 
-# Aligns two maps, by name, with a full search.
-AlignPair = Callable[[str, str], Alignment]
 # The poses of maps that fit together, in that of the first of them, metres; in input order.
 MapGroup = Mapping[str, Pose2]
-# Receives the pairs that are likely to be requested next.
-Ahead = Callable[[Iterable[tuple[str, str]]], None]
+# Progress callback: stage, steps done, total steps.
+Progress = Callable[[str, float, int], None]
+# Receives an alignment and its two maps; returns the alignment to use.
+SecondLook = Callable[[Alignment, Pair], Alignment]
 
 CLOSURE_CELLS = 12.0
 CLOSURE_YAW_RAD = math.radians(3.0)
@@ -70,6 +76,28 @@ NEARLY_AS_STRONG = 2.0
 # Deviation of an alignment in the middle between two maps, metres and radians: maps are bent by a
 # few cells.
 SHIFT_SIGMA_M, YAW_SIGMA_RAD = 0.1, math.radians(0.4)
+# With more pairs only promising ones are aligned, and rejected ones are not searched again.
+THOROUGH_PAIRS = 15
+# An input of more cells keeps no fields after its last pair: they are some 30 bytes a cell.
+KEPT_CELLS = 1 << 22
+
+
+@dataclass(frozen=True, eq=False)
+class FusionSetup:
+    """What all steps of a fusion take; see ``fuse_grids``.
+
+    Attributes:
+        is_stored: the vote runs tile by tile: no fused map stays in memory, and only one input at a
+            time.
+    """
+
+    config: FusionConfig
+    device: ComputeDevice
+    progress: Progress | None = None
+    second_look: SecondLook | None = None
+    starts: Starts | None = None
+    executor: Executor | None = None
+    is_stored: bool = False
 
 
 @dataclass(frozen=True)
@@ -95,35 +123,37 @@ class Candidate:
 
 
 class GroupSearch:
-    """Finds the groups of maps that fit together."""
+    """Finds the groups of maps that fit together, and aligns pairs for that.
 
-    def __init__(
-        self,
-        features: Mapping[str, GridFeatures],
-        candidates: Sequence[Candidate],
-        align: AlignPair,
-        pairs: int,
-        ahead: Ahead,
-    ) -> None:
-        """Start with every map alone.
+    The larger known box is aligned to the smaller, in an executor or two threads; each pair once.
+    Which pair is next depends on the results so far, but most pairs are predictable and started in
+    advance. One that is never requested costs time and changes nothing: an alignment depends on its
+    two maps only.
+    """
 
-        ``candidates`` are all pairs that may be aligned, the most promising first; ``ahead``
-        receives the following pairs before each alignment.
-        """
-        self.features, self.candidates = features, candidates
-        self.align, self.ahead = align, ahead
-        self.pairs = pairs
+    def __init__(self, features: dict[str, GridFeatures], setup: FusionSetup) -> None:
+        """Start with every map alone."""
+        self.features, self.setup = features, setup
+        self.count = count = math.comb(len(features), 2)
+        self.starts, executor = setup.starts or Starts(), setup.executor
+        self.is_thorough, self.last = count <= THOROUGH_PAIRS, next(reversed(features), "")
+        self.done, self.steps = 0, count if self.is_thorough else len(features) - 1
+        self.is_here, self.executor = executor is None, executor or ThreadPoolExecutor(THREADS)
+        self.tasks: dict[tuple[str, str], Future[Alignment]] = {}
         self._looked_at: dict[tuple[str, str, Pose2], Implied] = {}
         self.graph = AlignmentGraph(tuple(features))
         self.found: dict[Key, Alignment] = {}
         self.words: dict[Key, str] = {}
         self.ground = {name: _ground(item) for name, item in features.items()}
+        self.candidates = self._ranked()
 
     def run(self) -> tuple[list[MapGroup], list[Alignment]]:
         """Return every group, single maps too, the largest first, and every examined pair.
 
         Of equally large groups the one with the greater sum of scores is first.
         """
+        if self.is_thorough:
+            self.align_all()
         self.grow()
         self.close_loops()
         while self.graph.drop_false():
@@ -249,6 +279,79 @@ class GroupSearch:
                 told.append(replace(pair, reason=self.words.get(key, pair.reason)))
         return told
 
+    def close(self) -> None:
+        """End the own threads, and cancel what no one waits for."""
+        if self.is_here:
+            self.executor.shutdown(cancel_futures=True)
+
+    def tell(self, what: str, done: int) -> None:
+        """Report the stage and the number of alignments done."""
+        if self.setup.progress is not None:
+            self.setup.progress(what, done, max(self.steps, done))
+
+    def align(self, a: str, b: str) -> Alignment:
+        """Align two inputs by name, and apply what else is known of them."""
+        pair = self._pair(a, b)
+        self.tell("aligning pairs", self.done)
+        found = self._task(pair).result()
+        self.done += 1
+        self.tell("aligning pairs", self.done)
+        large = self.features[a]
+        if self.is_thorough and b == self.last and math.prod(large.shape) > KEPT_CELLS:
+            large.release()
+            return_freed_memory()
+        look = self.setup.second_look
+        return found if look is None else look(found, pair)
+
+    def ahead(self, coming: Iterable[tuple[str, str]]) -> None:
+        """Start the first of the pairs that are likely to be requested next."""
+        most = THREADS if self.is_here else tasks_ahead(self.executor)
+        for a, b in itertools.islice(coming, most):
+            if sum(not task.done() for task in self.tasks.values()) < most:
+                self._task(self._pair(a, b))
+
+    def _pair(self, a: str, b: str) -> Pair:
+        """Return two inputs, the smaller one as the reference."""
+        pair = Pair(self.features[a], self.features[b])
+        if math.prod(pair.reference.shape) > math.prod(pair.moving.shape):
+            pair = Pair(pair.moving, pair.reference)
+        return pair
+
+    def _task(self, pair: Pair) -> Future[Alignment]:
+        """Return the task of a pair; start it if it was not started yet."""
+        names = pair.reference.grid.name, pair.moving.grid.name
+        if names not in self.tasks:
+            task = partial(align_pair, thorough=self.is_thorough)
+            given = pair, self.setup.config.align, self.starts.between(*names), self.count
+            self.tasks[names] = self.executor.submit(task, *given)
+        return self.tasks[names]
+
+    def _ranked(self) -> list[Candidate]:
+        """Return the pairs that may be aligned, the most promising first; of few inputs all.
+
+        Of many inputs, pairs that cannot meet by their starts are left out, and the nearest come
+        first.
+        """
+        if self.is_thorough:
+            return [Candidate(a, b, math.inf) for a, b in itertools.combinations(self.features, 2)]
+        self.tell("rank pairs", 0)
+        near, others = [], []
+        for item in rank_pairs(self.features):
+            start = self.starts.between(item.a, item.b)
+            if start is None:
+                others.append(item)
+                continue
+            pair = Pair(self.features[item.a], self.features[item.b])
+            reach_m = sum(math.hypot(*one.shape) for one in pair) / 2.0 * pair.resolution
+            # How far apart the start puts the two, from 1 on too far to meet.
+            there = start.pose.transform(pair.moving.middle)
+            apart_m = math.dist(pair.reference.middle, there) - math.sqrt(2.0) * start.metres
+            apart = max(0.0, apart_m) / reach_m
+            if apart < 1.0:
+                near.append((apart, replace(item, ratio=math.inf)))
+        near.sort(key=lambda item: item[0])
+        return [*(candidate for _, candidate in near), *others]
+
     def _aligned(self, item: Candidate) -> Alignment:
         if item.key not in self.found:
             self.ahead(self._coming(item))
@@ -333,7 +436,7 @@ class GroupSearch:
         if key in self._looked_at:
             return self._looked_at[key]
         pair = Pair(self.features[reference], self.features[moving])
-        found = track_pair(pair, transform, self.pairs)
+        found = track_pair(pair, transform, self.count)
         evidence, is_supported, words = found.evidence, False, "no walls"
         if evidence is not None:
             went = is_distinct(pair.motion_of(found.transform), pair.motion_of(transform))

@@ -2,59 +2,25 @@
 
 from __future__ import annotations
 
-import itertools
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from statistics import median
 
 import numpy as np
 
-from slamfusion.align.align import THREADS, align_pair
 from slamfusion.align.features import GridFeatures
 from slamfusion.align.pair import Pair
 from slamfusion.align.records import Alignment
-from slamfusion.align.starts import Starts, named_input
-from slamfusion.compute import ComputeDevice
-from slamfusion.config import SMALLEST, FusionConfig
+from slamfusion.align.starts import named_input
+from slamfusion.config import SMALLEST
 from slamfusion.errors import AlignmentError, ConfigError
-from slamfusion.fleet import tasks_ahead
-from slamfusion.fusion.grouping import Candidate, GroupSearch, MapGroup, placed, rank_pairs
+from slamfusion.fusion.grouping import FusionSetup, GroupSearch, MapGroup, placed
 from slamfusion.geometry import F64, Pose2, wrap_angles
-from slamfusion.io.files import return_freed_memory
-
-# Progress callback: stage, steps done, total steps.
-Progress = Callable[[str, float, int], None]
-# Receives an alignment and its two maps; returns the alignment to use.
-SecondLook = Callable[[Alignment, Pair], Alignment]
 
 REFERENCE_AREA_SHARE = 0.5
 # [F16]: any two of three decide, so one input has no other to agree with.
 LEAST_FUSED = 2
-# With more pairs only promising ones are aligned, and rejected ones are not searched again.
-THOROUGH_PAIRS = 15
-# An input of more cells keeps no fields after its last pair: they are some 30 bytes a cell.
-KEPT_CELLS = 1 << 22
-
-
-@dataclass(frozen=True, eq=False)
-class FusionSetup:
-    """What all steps of a fusion take; see ``fuse_grids``.
-
-    Attributes:
-        is_stored: the vote runs tile by tile: no fused map stays in memory, and only one input at a
-            time.
-    """
-
-    config: FusionConfig
-    device: ComputeDevice
-    progress: Progress | None = None
-    second_look: SecondLook | None = None
-    starts: Starts | None = None
-    executor: Executor | None = None
-    is_stored: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,17 +83,12 @@ def align_group(
         AlignmentError: fewer than two of several inputs agree; ``pairs`` holds the alignments.
         ConfigError: the reference named in the config is no member.
     """
-    config, aligner = setup.config, _Aligner(features, setup)
-    search = GroupSearch(
-        features, aligner.candidates(), aligner.align, aligner.count, aligner.ahead
-    )
+    config, search = setup.config, GroupSearch(features, setup)
     try:
-        if aligner.is_thorough:
-            search.align_all()
         found, pairs = search.run()
     finally:
-        aligner.close()
-    aligner.tell("vote", aligner.done)
+        search.close()
+    search.tell("vote", search.done)
     least = 1 if len(names) == 1 else LEAST_FUSED
     found = [group for group in found if len(group) >= least]
     if not found:
@@ -148,97 +109,6 @@ def align_group(
     groups = [Members(reference, alignments), *others]
     left_out = {name: _left_out(name, groups, pairs) for name in features if name not in group}
     return AlignedGroup(reference, alignments, left_out, tuple(pairs), tuple(others))
-
-
-class _Aligner:
-    """Aligns pairs of inputs, the larger known box to the smaller, and reports progress.
-
-    An executor does it, or two threads; each pair is aligned once. Which pair is next depends on
-    the results so far, but most pairs are predictable and started in advance. One that is never
-    requested costs time and changes nothing: an alignment depends on its two maps only.
-    """
-
-    def __init__(self, features: dict[str, GridFeatures], setup: FusionSetup) -> None:
-        self.features, self.setup = features, setup
-        self.count = count = math.comb(len(features), 2)
-        self.starts, executor = setup.starts or Starts(), setup.executor
-        self.is_thorough, self.last = count <= THOROUGH_PAIRS, next(reversed(features), "")
-        self.done, self.steps = 0, count if self.is_thorough else len(features) - 1
-        self.run = partial(align_pair, thorough=self.is_thorough)
-        self.is_here, self.executor = executor is None, executor or ThreadPoolExecutor(THREADS)
-        self.tasks: dict[tuple[str, str], Future[Alignment]] = {}
-
-    def close(self) -> None:
-        """End the own threads, and cancel what no one waits for."""
-        if self.is_here:
-            self.executor.shutdown(cancel_futures=True)
-
-    def tell(self, what: str, done: int) -> None:
-        """Report the stage and the number of alignments done."""
-        if self.setup.progress is not None:
-            self.setup.progress(what, done, max(self.steps, done))
-
-    def align(self, a: str, b: str) -> Alignment:
-        """Align two inputs by name, and apply what else is known of them."""
-        pair = self._pair(a, b)
-        self.tell("aligning pairs", self.done)
-        found = self._task(pair).result()
-        self.done += 1
-        self.tell("aligning pairs", self.done)
-        large = self.features[a]
-        if self.is_thorough and b == self.last and math.prod(large.shape) > KEPT_CELLS:
-            large.release()
-            return_freed_memory()
-        look = self.setup.second_look
-        return found if look is None else look(found, pair)
-
-    def ahead(self, coming: Iterable[tuple[str, str]]) -> None:
-        """Start the first of the pairs that are likely to be requested next."""
-        most = THREADS if self.is_here else tasks_ahead(self.executor)
-        for a, b in itertools.islice(coming, most):
-            if sum(not task.done() for task in self.tasks.values()) < most:
-                self._task(self._pair(a, b))
-
-    def _pair(self, a: str, b: str) -> Pair:
-        """Return two inputs, the smaller one as the reference."""
-        pair = Pair(self.features[a], self.features[b])
-        if math.prod(pair.reference.shape) > math.prod(pair.moving.shape):
-            pair = Pair(pair.moving, pair.reference)
-        return pair
-
-    def _task(self, pair: Pair) -> Future[Alignment]:
-        """Return the task of a pair; start it if it was not started yet."""
-        names = pair.reference.grid.name, pair.moving.grid.name
-        if names not in self.tasks:
-            given = pair, self.setup.config.align, self.starts.between(*names), self.count
-            self.tasks[names] = self.executor.submit(self.run, *given)
-        return self.tasks[names]
-
-    def candidates(self) -> list[Candidate]:
-        """Return the pairs that may be aligned, the most promising first; of few inputs all.
-
-        Of many inputs, pairs that cannot meet by their starts are left out, and the nearest come
-        first.
-        """
-        if self.is_thorough:
-            return [Candidate(a, b, math.inf) for a, b in itertools.combinations(self.features, 2)]
-        self.tell("rank pairs", 0)
-        near, others = [], []
-        for item in rank_pairs(self.features):
-            start = self.starts.between(item.a, item.b)
-            if start is None:
-                others.append(item)
-                continue
-            pair = Pair(self.features[item.a], self.features[item.b])
-            reach_m = sum(math.hypot(*one.shape) for one in pair) / 2.0 * pair.resolution
-            # How far apart the start puts the two, from 1 on too far to meet.
-            there = start.pose.transform(pair.moving.middle)
-            apart_m = math.dist(pair.reference.middle, there) - math.sqrt(2.0) * start.metres
-            apart = max(0.0, apart_m) / reach_m
-            if apart < 1.0:
-                near.append((apart, replace(item, ratio=math.inf)))
-        near.sort(key=lambda item: item[0])
-        return [*(candidate for _, candidate in near), *others]
 
 
 def choose_reference(

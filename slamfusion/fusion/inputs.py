@@ -17,7 +17,7 @@ from slamfusion.align.normalize import (
     odd_resolution,
 )
 from slamfusion.errors import GridError
-from slamfusion.fusion.groups import FusionSetup
+from slamfusion.fusion.grouping import FusionSetup
 from slamfusion.grid import OccupancyGrid, row_parts
 from slamfusion.io.files import return_freed_memory
 

@@ -26,7 +26,8 @@ from slamfusion.compute.lattice import fixed_cells, fixed_poses
 from slamfusion.compute.layout import FIXED_ONE, MOST_INPUTS
 from slamfusion.config import FusionConfig
 from slamfusion.fleet import in_order
-from slamfusion.fusion.groups import FusionSetup, Members
+from slamfusion.fusion.grouping import FusionSetup
+from slamfusion.fusion.groups import Members
 from slamfusion.geometry import I8, Pose2
 from slamfusion.grid import OCCUPIED, UNKNOWN, CellBox, OccupancyGrid
 from slamfusion.io.files import check_memory

@@ -14,14 +14,8 @@ from slamfusion.align.starts import Starts, named_input
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig
 from slamfusion.errors import AlignmentError, ConfigError
-from slamfusion.fusion.groups import (
-    LEAST_FUSED,
-    FusionSetup,
-    Members,
-    Progress,
-    SecondLook,
-    align_group,
-)
+from slamfusion.fusion.grouping import FusionSetup, Progress, SecondLook
+from slamfusion.fusion.groups import LEAST_FUSED, Members, align_group
 from slamfusion.fusion.inputs import PreparedInputs, find_copies, odd_resolutions
 from slamfusion.fusion.lattice_vote import Lattices, vote_in_memory
 from slamfusion.grid import OccupancyGrid

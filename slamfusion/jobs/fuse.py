@@ -18,7 +18,8 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
 from slamfusion.errors import AlignmentError, SlamFusionError
 from slamfusion.fusion import fuse_grids
-from slamfusion.fusion.groups import LEAST_FUSED, FusionSetup
+from slamfusion.fusion.grouping import FusionSetup
+from slamfusion.fusion.groups import LEAST_FUSED
 from slamfusion.fusion.lattice_vote import contradicting, decide_tile, prepare_votes
 from slamfusion.fusion.pipeline import align_inputs
 from slamfusion.grid import OCCUPIED, OccupancyGrid

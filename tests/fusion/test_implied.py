@@ -11,9 +11,9 @@ import pytest
 from slamfusion.align.pair import Pair
 from slamfusion.align.records import Alignment
 from slamfusion.compute import ComputeDevice
+from slamfusion.config import FusionConfig
 from slamfusion.fusion import fuse_grids
-from slamfusion.fusion.grouping import GroupSearch
-from slamfusion.fusion.groups import SecondLook
+from slamfusion.fusion.grouping import FusionSetup, GroupSearch, SecondLook
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
 from tests.fusion.drawings import building, features_of, fusion_config, part
@@ -24,7 +24,7 @@ QUICK = replace(fusion_config(), keep_duplicates=True)
 def looked(device: ComputeDevice, grids: dict[str, OccupancyGrid], at: Pose2) -> tuple[bool, str]:
     features = {name: features_of(grid, device) for name, grid in grids.items()}
     reference, moving = grids
-    search = GroupSearch(features, [], lambda *_: pytest.fail("aligned"), 3, lambda _: None)
+    search = GroupSearch(features, FusionSetup(FusionConfig(), device))
     found = search.look(reference, moving, at)
     return found.stands, found.words
 

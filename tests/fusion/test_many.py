@@ -14,9 +14,9 @@ from slamfusion.align.records import Alignment
 from slamfusion.align.starts import StartPose, Starts
 from slamfusion.compute import ComputeDevice, NumpyDevice
 from slamfusion.errors import AlignmentError
-from slamfusion.fusion import grouping, groups
-from slamfusion.fusion.grouping import rank_pairs
-from slamfusion.fusion.groups import AlignedGroup, FusionSetup, Members, align_group
+from slamfusion.fusion import grouping
+from slamfusion.fusion.grouping import FusionSetup, rank_pairs
+from slamfusion.fusion.groups import AlignedGroup, Members, align_group
 from slamfusion.geometry import Pose2
 from tests.fusion.drawings import features_of, fusion_config
 from tests.support.sites import ManyMaps, many_maps
@@ -142,7 +142,7 @@ def test_the_best_pair_of_each_map_is_searched_where_nothing_is_promising(
         searched.extend(features.grid.name for features in pair)
         return Alignment(moving="a", reference="b", reason="no")
 
-    monkeypatch.setattr(groups, "align_pair", refuse)
+    monkeypatch.setattr(grouping, "align_pair", refuse)
     with pytest.raises(AlignmentError, match="no two of the inputs"):
         aligned(features)
     assert set(searched) == features.keys()

@@ -10,7 +10,7 @@ import pytest
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.fusion import lattice_vote
-from slamfusion.fusion.groups import FusionSetup
+from slamfusion.fusion.grouping import FusionSetup
 from slamfusion.fusion.lattice_vote import LatticeVote, decide_tile, prepare_votes
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid

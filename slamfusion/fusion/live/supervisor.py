@@ -8,7 +8,8 @@ from dataclasses import replace
 from slamfusion.align.normalize import common_resolution, odd_resolution
 from slamfusion.config import SMALLEST
 from slamfusion.errors import AlignmentError, MemoryBudgetError, SlamFusionError
-from slamfusion.fusion.groups import AlignedGroup, FusionSetup, align_group
+from slamfusion.fusion.grouping import FusionSetup
+from slamfusion.fusion.groups import AlignedGroup, align_group
 from slamfusion.fusion.inputs import odd_resolutions
 from slamfusion.fusion.live.align import Aligner
 from slamfusion.fusion.live.inputs import (
