@@ -153,7 +153,9 @@ class GroupSearch:
         Of equally large groups the one with the greater sum of scores is first.
         """
         if self.is_thorough:
-            self.align_all()
+            for item in self.candidates:
+                self._aligned(item)
+            self.candidates.sort(key=lambda item: -_strength(self.found[item.key]))
         self.grow()
         self.close_loops()
         while self.graph.drop_false():
@@ -171,12 +173,6 @@ class GroupSearch:
 
         groups = sorted(self.graph.groups(), key=rank, reverse=True)
         return [self.solved(group) for group in groups], self.told()
-
-    def align_all(self) -> None:
-        """Align every candidate, and sort the candidates by strength."""
-        for item in self.candidates:
-            self._aligned(item)
-        self.candidates = sorted(self.candidates, key=lambda item: -_strength(self.found[item.key]))
 
     def grow(self) -> None:
         """Join groups by the most promising pairs between them, until nothing promising is left."""
@@ -419,7 +415,7 @@ class GroupSearch:
             pair = self._aligned(Candidate(a, b, math.inf))
             if not pair.accepted:
                 self.words[key] = f"{pair.reason}; where the others put it, it gives {look.words}"
-                self.graph.contradict(key, None)
+                self.graph.against[key] = None
                 return False
         pair = self.found[key]
         if pair.moving != b:
@@ -427,7 +423,7 @@ class GroupSearch:
         if self._agrees(pair, transform, self.graph.path(a, b)):
             self.graph.believe(pair)
             return True
-        self.graph.contradict(key, pair)
+        self.graph.against[key] = pair
         return False
 
     def look(self, reference: str, moving: str, transform: Pose2) -> Implied:
@@ -510,7 +506,8 @@ class AlignmentGraph:
 
     Attributes:
         links: accepted alignments, by the names of their maps.
-        against: contradictions; the alignment is None if the pair has none that could be true.
+        against: contradictions, noted by the search; the alignment is None if the pair has none
+            that could be true.
         false: removed alignments, by the names of their maps, and the reason.
     """
 
@@ -527,10 +524,6 @@ class AlignmentGraph:
         """Add a link."""
         self.links[key_of(pair)] = pair
         self._grow_tree(pair)
-
-    def contradict(self, key: Key, own: Alignment | None) -> None:
-        """Record a pair that does not agree with the links, and its own alignment if any."""
-        self.against[key] = own
 
     def is_joined(self, a: str, b: str) -> bool:
         """Whether links join two maps."""
