@@ -72,7 +72,7 @@ def align_group(
 ) -> AlignedGroup:
     """Align pairs, find the groups that fit together, and choose their frames.
 
-    Every pair of up to six inputs is aligned; of more inputs the promising pairs: see ``many``.
+    Every pair of up to six inputs is aligned; of more inputs the promising pairs: see ``grouping``.
 
     Args:
         features: the inputs that can be aligned, by name, all at one resolution.
@@ -124,9 +124,6 @@ def choose_reference(
         wanted: the setting: a name or an index of the inputs, or ``SMALLEST``; None: the first
             member.
         names: all inputs, in order.
-
-    Raises:
-        ConfigError: the wanted one is no input, or was rejected.
     """
     name = named_input(wanted, names)
     if name == SMALLEST and name not in names:

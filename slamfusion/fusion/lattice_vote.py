@@ -151,9 +151,6 @@ class LatticeVote:
         Args:
             task: ``count_tile``; ``decide_tile`` or ``decide_parts`` with their device.
             what: name of the stage, for ``progress``.
-
-        Raises:
-            GridError: more inputs than a vote takes know one place.
         """
         tiles = list(self.voter.whole.tiles(TILE))
         calls = ((self.voter, tile, self.prepared or self._under(tile)) for tile in tiles)
@@ -214,11 +211,7 @@ class LatticeVote:
     def in_memory(
         self, grids: Sequence[OccupancyGrid], others: Mapping[str, InputRecord], setup: FusionSetup
     ) -> FusionResult:
-        """Run the vote, and keep the fused map and the layers; see ``records``.
-
-        Raises:
-            GridError: more inputs than a vote takes know one place.
-        """
+        """Run the vote, and keep the fused map and the layers; see ``records``."""
         fused = np.full(self.voter.whole.shape, UNKNOWN, dtype=np.int8)
         agreement = np.full_like(fused, UNKNOWN)
         phantom_cells, worst = 0, []

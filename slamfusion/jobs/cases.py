@@ -111,8 +111,7 @@ def known_files(cases: Sequence[str], **given: Sequence[CaseFile]) -> dict[str, 
         given: files by the name of their option: ``log``, ``relations``, ``odometry``, ``truth``,
             ``scan_odometry``.
 
-    Raises:
-        ConfigError: a file belongs to no case or to several, or a case has two of a kind.
+    Raises as ``files_by_case``.
     """
     found = {
         kind: files_by_case(cases, own, f"--{kind.replace('_', '-')}")

@@ -208,10 +208,8 @@ class LiveInput:
     """One input after the last update.
 
     Attributes:
-        name: as given to ``put``.
         messages: those that came; their ``grid`` is no result.
-        reason: why it is in that state, one line.
-        transform: its map frame into the fused frame, metres; the last that was accepted.
+        reason, transform: see ``Input``.
         fit: its last alignment; score and overlap are 1 for the reference.
         wall_agreement: share of its walls that agree with the other maps'; None: it does not vote,
             or the vote weighs no map.

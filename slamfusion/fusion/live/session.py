@@ -39,15 +39,13 @@ class FusionState:
 
     Attributes:
         inputs: by name, after the last update.
-        reference: name of the input that others are aligned to.
         update: the last one; None before the first.
         votes: how often an input got or lost its vote, or came, or left with its vote.
         fused_stamp_s: stamp of the newest of them, seconds.
         sent_maps: fused maps that were published.
         median_ms, high_ms: median and 95th percentile from the arrival of a map to the publication
             of its fused map.
-        lattice: of the fused frame; None before the first fusion.
-        resolution: metres per cell of the fused map; None before the first map.
+        lattice, resolution: see ``LiveFusion``.
     """
 
     inputs: Mapping[str, LiveInput] = field(default_factory=dict)
