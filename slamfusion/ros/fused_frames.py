@@ -172,14 +172,6 @@ class ChildFrames:
             self._taken.add(child)
         return self._children[key][0]
 
-    def renamed(self) -> dict[str, tuple[str, str]]:
-        """Return the map's frame and the child frame of inputs for which they differ."""
-        return {
-            name: (frame, child)
-            for (name, frame), (child, _) in self._children.items()
-            if child != frame
-        }
-
     def _free(self, space: tuple[str, ...], frame: str, others: Collection[tuple[str, ...]]) -> str:
         """Return the free name with the shortest namespace that is no other's, else a number."""
         spaces = [space[:length] for length in range(1, len(space) + 1)]
@@ -419,15 +411,15 @@ class FusedFrames:
     def _name_problems(self) -> None:
         settings, diagnostics = self._node.settings, self._node.diagnostics
         fused, odom = settings.fused_frame, settings.odom_frame
-        shared = [
-            f"{name!r} is in frame {frame!r} as another map is: its transform is sent to {child!r}"
-            for name, (frame, child) in self._children.renamed().items()
-        ]
-        words = "; ".join([*shared, "give each map a frame_id of its own"])
-        diagnostics.say("shared frame", f"the map of {words}" if shared else None)
-        is_own = any(source.frame == fused for source in self._node.inputs.sources.values())
-        text = f"an input's map is in {fused!r}, the frame of the fused map; rename one of them"
-        diagnostics.say("own frame", text if is_own else None)
+        named = []
+        for source in self._node.inputs.sources.values():
+            child, frame = self.child_frame(source), source.frame
+            if source.stamp_s is not None and (child != frame or not frame):
+                sent = f"as another map is: its transform is sent to {child!r}"
+                words = sent if child else "and has no transform"
+                named.append(f"{source.name!r} is in frame {frame!r} {words}")
+        words = "; ".join([*named, "give each map a frame_id of its own"])
+        diagnostics.say("frames", f"the map of {words}" if named else None)
         child, words = self._output.rival(odom)
         what = "end one of them, or give the frames of each robot names of their own"
         if self._node.rival:

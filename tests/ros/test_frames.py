@@ -75,9 +75,6 @@ def test_the_first_keeps_a_frame_and_others_have_as_much_namespace_as_tells_them
     # Asked again, in any order, each has its own.
     again = [frames.of(str(number), topic, "map") for number, topic in enumerate(topics)]
     assert again == wanted
-    assert frames.renamed() == {
-        str(number): ("map", child) for number, child in enumerate(wanted) if child != "map"
-    }
 
 
 def test_a_name_that_somebody_has_is_not_given():
