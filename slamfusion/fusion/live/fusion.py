@@ -439,8 +439,8 @@ class LiveFusion(Mailbox):
     def _collect(self, now_s: float) -> tuple[bool, float | None]:
         """Pass maps to the tracks; return whether there was any, and when the first came.
 
-        An input is stale if its last message is older than another's by ``live.stale_after_s``; if
-        the robot stands still all become silent together.
+        An input is stale if its last map is older than that of another one with a usable map by
+        ``live.stale_after_s``; if the robot stands still all become silent together.
         """
         removed, fresh = self.take()
         for name in removed:
@@ -457,14 +457,16 @@ class LiveFusion(Mailbox):
             elif why := self._take(track, item):
                 self.count_rejected(name)
                 track.refuse_map(why)
-        came = {name: item for name, item in self.counts().items() if not item.is_saved}
+        came = {
+            name: item
+            for name, item in self.counts().items()
+            if not item.is_saved and name in self._inputs and self._inputs[name].is_live
+        }
         newest_s = max((item.received_s for item in came.values()), default=now_s)
         for name, item in came.items():
-            one = self._inputs.get(name)
-            is_stale = newest_s - item.received_s > self._live.stale_after_s
-            if one is not None and one.is_live and is_stale:
+            if newest_s - item.received_s > self._live.stale_after_s:
                 reason = Reason.STALE_ONE if item.maps == 1 else Reason.STALE
-                one.turn(reason, seconds=self._live.stale_after_s)
+                self._inputs[name].turn(reason, seconds=self._live.stale_after_s)
         since_s = [
             item.waits_since_s
             for item in fresh.values()

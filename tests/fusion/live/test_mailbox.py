@@ -11,7 +11,7 @@ from slamfusion.config import FusionConfig, NormalizeConfig, RunConfig
 from slamfusion.fusion.live import LiveFusion, State
 from slamfusion.fusion.live.fusion import Mailbox
 from slamfusion.io import files
-from tests.fusion.live.maps import Drive, live_fusion, three, touched
+from tests.fusion.live.maps import Drive, live_fusion, noise, three, touched
 
 
 def test_the_newest_map_waits_and_is_taken_once() -> None:
@@ -77,6 +77,9 @@ def test_an_input_is_stale_only_against_another_and_a_saved_one_never(
     assert drive.input("b").state is State.LOST
     drive.step(three()["b"])
     assert drive.accepted() == "abc"
+    drive.now_s += 100.0
+    drive.step(noise().with_name("d"))
+    assert drive.accepted() == "abc", "what cannot be used is no sign that others fell silent"
 
 
 def test_before_the_first_fusion_memory_must_hold_the_maps_at_its_resolution(
