@@ -66,8 +66,10 @@ class FusionState:
     @property
     def nothing_fused(self) -> str:
         """Why no input votes, one line."""
-        problem = "" if self.update is None else self.update.problem
-        return f"nothing is fused: {problem or 'no map yet'}"
+        problem = "no map yet" if self.update is None else self.update.problem
+        if not problem:
+            return "no input votes: the fused map is drawn from the scans alone"
+        return f"nothing is fused: {problem}"
 
     def transform(self, name: str) -> Pose2 | None:
         """Return an input's map frame in the fused frame; None while it does not vote."""

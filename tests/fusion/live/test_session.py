@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import pytest
 
@@ -174,10 +174,12 @@ def test_why_nothing_is_fused_is_said(device: ComputeDevice) -> None:
     assert session.snapshot.nothing_fused == "nothing is fused: no map yet"
     desk.put(three()["a"], noise().with_name("b"))
     session.turn()
-    assert session.snapshot.nothing_fused == (
-        "nothing is fused: waits for 2 inputs that agree, has 1"
-    )
+    state = session.snapshot
+    assert state.nothing_fused == "nothing is fused: waits for 2 inputs that agree, has 1"
     assert desk.went == []
+    assert state.update is not None
+    state = replace(state, update=replace(state.update, problem=""))
+    assert state.nothing_fused == "no input votes: the fused map is drawn from the scans alone"
 
 
 def test_two_drawn_maps_are_fused_before_the_first_real_ones(
