@@ -22,7 +22,7 @@ from slamfusion.ros.frames import TransformOutput
 from slamfusion.ros.parameters import declare
 from slamfusion.ros.scan_input import SCAN_TOPIC, ArrivedScan, ScanInput
 from slamfusion.slam.registry import producer, settings_of
-from slamfusion.slam.session import Answer, ProducerSession, QueuedScan, UndrawnMap
+from slamfusion.slam.session import NOT_NEWER, Answer, ProducerSession, QueuedScan, UndrawnMap
 
 # After this long with scans but without a transform, the lack is reported, seconds.
 NEVER_SENT_S = 5.0
@@ -82,7 +82,7 @@ class ProducerNode(NodeBase):
             partial(self.open_device, device.device),
             wants_odometry=self.settings.odometry_source in {"tf", "topic"},
         )
-        self._dropped = 0  # only in the executor's thread
+        self._dropped = self._late = 0  # only in the executor's thread
         name = self.name
         self._map_topic = node.create_publisher(OccupancyGrid, f"{name}/map", qos.MAP)
         self._metadata_topic = node.create_publisher(MapMetaData, f"{name}/map_metadata", qos.MAP)
@@ -270,7 +270,15 @@ class ProducerNode(NodeBase):
         text = f"no scans on {self.resolved(SCAN_TOPIC)!r} {since}; {who}"
         is_silent = now_s - self._inputs.last_s > self.settings.scans_stale_s
         self.diagnostics.say("scans", text if is_silent else None, Level.STALE)
-        busy_s = self._session.snapshot.busy_since_s
+        snapshot = self._session.snapshot
+        busy_s, late = snapshot.busy_since_s, snapshot.left_out.get(NOT_NEWER, 0)
+        text = (
+            f"scans are left out, {late} so far: their stamps do not increase; check the clock of "
+            f"the laser, and that no other one sends on {self.resolved(SCAN_TOPIC)!r}"
+        )
+        if late > self._late:
+            self.diagnostics.note("late", text)
+        self._late = late
         is_slow = busy_s is not None and now_s - busy_s > SLOW_SCAN_S
         text = "a scan has been worked on for over 5 s"
         self.diagnostics.say("busy", text if is_slow else None, Level.ERROR)

@@ -27,6 +27,7 @@ from slamfusion.trajectory import Trajectory
 
 NO_ODOMETRY_YET = "laser before odometry"
 NOT_NEWER = "stamp not later than the last one's"
+SENT_AGAIN = "sent again"
 NOT_FED = "the SLAM failed"
 
 # Largest share of the time for reading and drawing maps: that of a large one comes less often.
@@ -186,6 +187,8 @@ class ProducerSession:
         self._job: MapJob | None = None
         # What draws the maps of a generation.
         self._drawer: tuple[int, Callable[[MapJob], OccupancyGrid]] | None = None
+        # Of the newest scan: NaN equals nothing.
+        self._ranges = b""
         # Stamp, pose and odometry of the last scans, a row each.
         self._moved: F64 = np.empty((0, 7))
 
@@ -230,10 +233,10 @@ class ProducerSession:
             self._change(fed_s=None, unmapped=0, is_settled=True, health=Health())
         fed_s = self.snapshot.fed_s
         if fed_s is not None and item.stamp_s <= fed_s:
-            if item.stamp_s < fed_s:
+            if item.stamp_s < fed_s or item.read().ranges.tobytes() != self._ranges:
                 raise LeftOutError(NOT_NEWER)
-            self.leave_out(NOT_NEWER)
-            # Sent again: the answer is repeated.
+            self.leave_out(SENT_AGAIN)
+            # The answer is repeated.
             return Answer(self.snapshot.pose, is_new=False)
         scan = item.read()
         within, odometry = self._deskewer.follow(scan, item.odometry)
@@ -246,6 +249,7 @@ class ProducerSession:
         except SlamFusionError as error:
             self._change(problem=f"{NOT_FED}: {error}")
             raise LeftOutError(NOT_FED) from error
+        self._ranges = scan.ranges.tobytes()
         before = self.snapshot
         latency_s = self._clock() - item.arrived_s
         self._change(

@@ -133,8 +133,13 @@ def test_a_scan_sent_again_is_answered_again_and_an_older_one_is_not() -> None:
     again = bench.session.feed(bench.queued(2))
     assert (again.pose, again.is_new) == (bench.session.snapshot.pose, False)
     assert bench.session.feed(bench.queued(1)) is None
+    # Another one of the same stamp, as of a driver that does not set it.
+    assert bench.session.feed(replace(bench.queued(1), stamp_s=bench.queued(2).stamp_s)) is None
     assert bench.session.snapshot.fed == 3
-    assert bench.session.snapshot.left_out == {"stamp not later than the last one's": 2}
+    assert bench.session.snapshot.left_out == {
+        "sent again": 1,
+        "stamp not later than the last one's": 2,
+    }
 
 
 def test_scans_before_the_first_odometry_are_left_out_and_later_ones_are_not() -> None:
