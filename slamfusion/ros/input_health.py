@@ -108,6 +108,8 @@ class Clocks:
         self._heard: dict[tuple[str, str], deque[tuple[float, float]]] = {}
         # Lead of each input's last stamp; each use is one atomic operation.
         self._ahead_s: dict[str, float] = {}
+        # The time before the last jump back: messages of then still come.
+        self.before_jump_s = 0.0
 
     def too_far_ahead_s(self, name: str, stamp_s: float) -> float | None:
         """Note a stamp of an input; return its lead if that is too large, else None."""
@@ -163,8 +165,9 @@ class Clocks:
         self._heard = {key: heard for key, heard in self._heard.items() if key[0] != name}
         self._diagnostics.clear(f"clock {name}")
 
-    def forget(self) -> None:
-        """Forget every stamp, after a jump back of time."""
+    def forget(self, before_s: float) -> None:
+        """Forget every stamp, after a jump back from a time, seconds."""
+        self.before_jump_s = before_s
         self._heard.clear()
         self._ahead_s.clear()
 
@@ -429,8 +432,8 @@ class MapSource:
     def _is_ahead(self, what: str, stamp_s: float, outcome: str) -> bool:
         """Whether a stamp is far ahead of the clock and the other inputs; reports it."""
         ahead_s = self._clocks.too_far_ahead_s(self.name, stamp_s)
-        if ahead_s is None:
-            return False
+        if ahead_s is None or stamp_s <= self._clocks.before_jump_s:
+            return ahead_s is not None
         text = (
             f"the {what} of {self.name!r} is stamped {ahead_s:.0f} s ahead of the clock, and "
             f"other inputs are not: {outcome}; set the clock of its machine"
