@@ -86,5 +86,5 @@ def test_a_drive_that_nothing_measures_is_refused(tmp_path: Path) -> None:
 def test_a_last_digit_off_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(tinyslam.PAPER, ("base", "forward"), (0.104, 0.225, 0.460))
     failure = table_two().failure
-    assert failure.startswith("1 values differ from Table II of [H16]: base, forward, 3 occupied: ")
+    assert failure.startswith("1 value differs from Table II of [H16]: base, forward, 3 occupied: ")
     assert failure.endswith("found 0.105, wanted 0.104")

@@ -41,7 +41,7 @@ def test_logs_that_fail_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[s
     logs = [str(tmp_path / name) for name in ("bad.log", "none.log")]
     assert run_program(["run", *logs, "-o", str(tmp_path / "out"), "--json"]) == 1
     printed = capsys.readouterr()
-    assert "2 of 2 logs have no fused map (bad.log: " in printed.err
+    assert "no fused map of 2 of 2 logs (bad.log: " in printed.err
     document: dict[str, Any] = json.loads(printed.out)
     check_document(document, "run", failed=True)
     bad, none = document["runs"]
