@@ -10,11 +10,12 @@ import pytest
 from scipy import ndimage
 
 from slamfusion.align.pair import Pair, displacement
-from slamfusion.align.refine import polish, refine, settle
+from slamfusion.align.refine import climbed, narrow_fits, polish, refine, settle
 from slamfusion.align.scores import rank
 from slamfusion.compute import ComputeDevice
 from slamfusion.grid import OccupancyGrid
 from tests.fusion.drawings import building, features_of
+from tests.support.overlap import drawn, half_pairs
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -127,3 +128,35 @@ def test_walls_in_ground_that_the_other_has_not_seen_do_not_pull(
         away.append(displacement(found[0], answer)[0])
     assert away[0] < 0.05
     assert away[1] > 0.3, "where all ground counts they do"
+
+
+@pytest.mark.once
+def test_on_a_strip_a_narrow_fit_is_nearer_than_the_wide_one(device: ComputeDevice) -> None:
+    """Halves of a building: the other walls of each pull a wide fit."""
+    turned_deg = []
+    for seed in range(8):
+        drafts = half_pairs(seed, (0.2,), ("sim/building/72100",))
+        (case,) = drawn(drafts[:1])
+        low, high = (features_of(grid, device) for grid in (case.reference, case.moving))
+        assert case.truth is not None
+        right = Pair(low, high).motion_of(case.truth)
+        wide = settle(Pair(low, high), (right + np.array([2.0, -2.0, math.radians(1.5)]))[None])
+        narrow = narrow_fits(Pair(low, high), wide)
+        turned_deg.append([abs(math.degrees(fit[0, 2] - right[2])) for fit in (wide, narrow)])
+    wide_deg, narrow_deg = np.mean(turned_deg, axis=0)
+    assert narrow_deg < 0.1
+    assert narrow_deg < 0.5 * wide_deg
+
+
+@pytest.mark.once
+def test_maps_without_a_common_wall_are_left_where_they_are(device: ComputeDevice) -> None:
+    features = features_of(building(1), device)
+    motion = np.array([features.centre[0] + 1e4, features.centre[1], 0.0])
+    assert np.array_equal(climbed(Pair(features, features), motion), motion)
+
+
+@pytest.mark.once
+def test_a_fit_that_is_right_stays_as_it_is(device: ComputeDevice) -> None:
+    features = features_of(building(1), device)
+    motion = np.array([*features.centre, 0.0])
+    assert np.array_equal(climbed(Pair(features, features), motion), motion)
