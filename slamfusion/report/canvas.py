@@ -171,6 +171,16 @@ def write_note(axes: Axes, text: str) -> None:
     axes.set_title(text, loc="right", color=INK, fontsize=7, pad=2.5)
 
 
+def name_rows(axes: Axes, names: Sequence[str]) -> None:
+    """Write names whole above rows 0, 1, ... of axes, whatever their length."""
+    axes.set_yticks([])
+    for row, name in enumerate(names):
+        axes.annotate(
+            plain_text(name), (0.0, row - 0.3), xycoords=("axes fraction", "data"),
+            xytext=(1.5, 1.0), textcoords="offset points", color=INK, fontsize=SMALL_PT,
+        )  # fmt: skip
+
+
 def label_axes(axes: Axes, title: str = "", x: str = "", y: str = "") -> None:
     """Write the name of axes above them, on the left, and what is along their sides.
 

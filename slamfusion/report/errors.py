@@ -15,7 +15,7 @@ from slamfusion.evaluation.statistics import ErrorStatistics
 from slamfusion.evaluation.trajectory_error import TrajectoryErrors
 from slamfusion.geometry import F64
 from slamfusion.palette import INK_RGB, Rgb
-from slamfusion.report.canvas import INK, label_axes, plain_text, stacked_axes, unit_rgb, write_note
+from slamfusion.report.canvas import INK, label_axes, name_rows, stacked_axes, unit_rgb, write_note
 from slamfusion.report.page import Fact, Picture, Section, tables
 from slamfusion.slam.common.mapper import Series
 
@@ -137,14 +137,15 @@ def _over_time(
 
 def distribution_figure(values: Mapping[str, F64], colours: Mapping[str, Rgb]) -> Figure:
     """Draw the share of errors (N,) in metres below each value, with a box plot of each path."""
-    figure, (above, below) = stacked_axes(2, (1.5, 0.2 + 0.2 * len(values)))
+    figure, (above, below) = stacked_axes(2, (1.5, 0.2 + 0.32 * len(values)))
     draw_shares(above, list(values.items()), colours)
     drawn = below.boxplot(
         list(values.values()),
+        positions=range(len(values)),
         orientation="horizontal",
         whis=(5.0, 95.0),
         showfliers=False,
-        widths=0.6,
+        widths=0.4,
         patch_artist=True,
         medianprops={"color": "white", "lw": 1.2},
         whiskerprops={"color": INK, "lw": 0.8},
@@ -152,8 +153,8 @@ def distribution_figure(values: Mapping[str, F64], colours: Mapping[str, Rgb]) -
     )
     for box, name in zip(drawn["boxes"], values, strict=True):
         box.set(facecolor=unit_rgb(colours[name]), edgecolor=INK, linewidth=0.6)
-    below.set_yticks(range(1, len(values) + 1), [plain_text(name)[:14] for name in values])
-    below.invert_yaxis()
+    below.set_ylim(len(values) - 0.6, -0.85)
+    name_rows(below, list(values))
     label_axes(above, y="share of errors below")
     label_axes(below, x="error [m]")
     return figure

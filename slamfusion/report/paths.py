@@ -321,18 +321,18 @@ def place_lines(answer: Recommendation) -> list[tuple[str, str]]:
 def strip_picture(answer: Recommendation, colours: Mapping[str, Rgb]) -> Picture:
     """Draw who was off when: a bar for each path, and the places to check across them."""
     names = [path.name for path in answer.paths]
-    figure, (axes,) = canvas.stacked_axes(1, 0.16 + 0.2 * len(names))
+    figure, (axes,) = canvas.stacked_axes(1, 0.16 + 0.32 * len(names))
     for row, path in enumerate(answer.paths):
         for span in path.spans:
             colour = colours[path.name] if span.agrees else DISAGREEMENT_RGB
             extent = [(span.from_s, span.to_s - span.from_s)]
-            axes.broken_barh(extent, (row - 0.3, 0.6), facecolor=canvas.unit_rgb(colour))
+            axes.broken_barh(extent, (row - 0.3, 0.5), facecolor=canvas.unit_rgb(colour))
     for nth, place in enumerate(answer.check, start=1):
         axes.axvspan(place.from_s, place.to_s, color=canvas.INK, alpha=0.2, lw=0)
         middle_s = 0.5 * (place.from_s + place.to_s)
-        axes.annotate(str(nth), (middle_s, -0.62), annotation_clip=False, **canvas.PLACE_LOOK)
-    axes.set_ylim(len(names) - 0.5, -0.62)
-    axes.set_yticks(range(len(names)), [canvas.plain_text(name)[:10] for name in names])
+        axes.annotate(str(nth), (middle_s, -0.85), annotation_clip=False, **canvas.PLACE_LOOK)
+    axes.set_ylim(len(names) - 0.6, -0.85)
+    canvas.name_rows(axes, names)
     axes.margins(x=0.0)
     canvas.label_axes(axes, x="time since the start [s]")
     legend = {f"{PART_M:g} m or more from the recommended path": DISAGREEMENT_RGB}

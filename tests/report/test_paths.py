@@ -219,5 +219,5 @@ def test_a_distribution_shows_the_bulk_and_a_box_for_each_path() -> None:
     colours = {"a": NAMED["graph"], "b": NAMED["gmapping"]}
     above, below = distribution_figure(errors, colours).axes
     assert above.get_xlim()[1] == pytest.approx(1.05 * 1.99)  # not the one error of 50 m
-    assert [label.get_text() for label in below.get_yticklabels()] == ["a", "b"]
+    assert [name.get_text() for name in below.texts] == ["a", "b"]
     assert below.get_xlim() == above.get_xlim()
