@@ -172,7 +172,8 @@ def write_note(axes: Axes, text: str) -> None:
 
 
 def name_rows(axes: Axes, names: Sequence[str]) -> None:
-    """Write names whole above rows 0, 1, ... of axes, whatever their length."""
+    """Let axes show rows 0, 1, ... downwards, each below its whole name, however long."""
+    axes.set_ylim(len(names) - 0.6, -0.85)
     axes.set_yticks([])
     for row, name in enumerate(names):
         axes.annotate(

@@ -153,7 +153,6 @@ def distribution_figure(values: Mapping[str, F64], colours: Mapping[str, Rgb]) -
     )
     for box, name in zip(drawn["boxes"], values, strict=True):
         box.set(facecolor=unit_rgb(colours[name]), edgecolor=INK, linewidth=0.6)
-    below.set_ylim(len(values) - 0.6, -0.85)
     name_rows(below, list(values))
     label_axes(above, y="share of errors below")
     label_axes(below, x="error [m]")

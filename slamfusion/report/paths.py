@@ -322,6 +322,8 @@ def strip_picture(answer: Recommendation, colours: Mapping[str, Rgb]) -> Picture
     """Draw who was off when: a bar for each path, and the places to check across them."""
     names = [path.name for path in answer.paths]
     figure, (axes,) = canvas.stacked_axes(1, 0.16 + 0.32 * len(names))
+    canvas.name_rows(axes, names)
+    _, top = axes.get_ylim()
     for row, path in enumerate(answer.paths):
         for span in path.spans:
             colour = colours[path.name] if span.agrees else DISAGREEMENT_RGB
@@ -330,9 +332,7 @@ def strip_picture(answer: Recommendation, colours: Mapping[str, Rgb]) -> Picture
     for nth, place in enumerate(answer.check, start=1):
         axes.axvspan(place.from_s, place.to_s, color=canvas.INK, alpha=0.2, lw=0)
         middle_s = 0.5 * (place.from_s + place.to_s)
-        axes.annotate(str(nth), (middle_s, -0.85), annotation_clip=False, **canvas.PLACE_LOOK)
-    axes.set_ylim(len(names) - 0.6, -0.85)
-    canvas.name_rows(axes, names)
+        axes.annotate(str(nth), (middle_s, top), annotation_clip=False, **canvas.PLACE_LOOK)
     axes.margins(x=0.0)
     canvas.label_axes(axes, x="time since the start [s]")
     legend = {f"{PART_M:g} m or more from the recommended path": DISAGREEMENT_RGB}
