@@ -209,12 +209,12 @@ def refine_borne_out(
     told = with_given.scores[path.name].consistency
     start = "paths"
     refined, both = _settled(with_given, path, told)
-    begun = {name: _at_scans(with_given, path, one.poses) for name, one in evidence.scores.items()}
-    far = [name for name, one in begun.items() if _apart_m(one, refined).max() > FAR_M]
-    for name in far if 2 * len(far) >= len(begun) else ():
+    starts = {name: _at_scans(with_given, path, one.poses) for name, one in evidence.scores.items()}
+    far = [name for name, one in starts.items() if _apart_m(one, refined).max() > FAR_M]
+    for name in far if 2 * len(far) >= len(starts) else ():
         if evidence.scores[name].consistency < told - NEAR:
             continue
-        other, with_other = _settled(with_given, begun[name], told, is_far=True)
+        other, with_other = _settled(with_given, starts[name], told, is_far=True)
         if _gain(with_other, both).difference > FAR_GAIN:
             start, refined, both = name, other, with_other
     by_odometry = _from_odometry(with_given, path)

@@ -143,7 +143,10 @@ def evaluate_maps(
         truths, found = [plan.plan for plan in plans], [plan.of_map for plan in plans]
     elif align:
         each = align_each(true_grid, grids, search, device)
-        found = (explained(next(each), true_grid, grid, search, device) for grid in grids)
+        found = (
+            explained(alignment, true_grid, grid, search, device)
+            for grid, alignment in zip(grids, each, strict=True)
+        )
     evaluations, tell = [], progress or (lambda *_: None)
     for done, (grid, shown, alignment) in enumerate(zip(grids, truths, found, strict=True)):
         tell("evaluate", done, len(grids))
