@@ -38,6 +38,9 @@ _LOG = logging.getLogger(__name__)
 STEP_S, WINDOW_S = 0.1, 1.0
 # Two paths of one drive correlate by more at the right offset.
 LEAST_CORRELATION = 0.5
+# The unit nearest to a metre.
+FOOT_M = 0.3048
+_ONE_OF_THEM = "%s %s %s (correlation %.2f): is one of them %s?"
 # Stamps of the same scans differ by one offset and by rounding.
 SAME_SCANS_S = 1e-3
 
@@ -131,21 +134,22 @@ def _windows(path: Trajectory, reference: Trajectory, offset_s: float) -> tuple[
     return _motion(path, times_s, WINDOW_S), _motion(reference, times_s + offset_s, WINDOW_S)
 
 
-def _warn_of_mirror(path: Trajectory, truth: Trajectory) -> None:
-    """Warn of a path that turns the other way than the truth on the same clock."""
-    own, other = (motion[:, 1] for motion in _windows(path, truth, 0.0))
-    correlation = (own @ other) / max(math.sqrt((own @ own) * (other @ other)), 1e-9)
-    # The upper end of its 95 % interval (Fisher, 1915); the windows overlap.
+def _warn_of_other_frame(path: Trajectory, truth: Trajectory) -> None:
+    """Warn of a path in another unit than the truth, or its mirror image, on the same clock."""
+    own, other = _windows(path, truth, 0.0)
+    lengths = np.maximum(np.linalg.norm((own, other), axis=1), 1e-9)
+    correlations = (own * other).sum(axis=0) / lengths.prod(axis=0)
+    # The 95 % intervals (Fisher, 1915); the windows overlap.
     apart = len(own) * STEP_S / WINDOW_S
     error = 1.96 / math.sqrt(apart - 3.0) if apart > 3.0 else math.inf
-    if np.arctanh(np.clip(correlation, -0.999, 0.999)) + error < -math.atanh(LEAST_CORRELATION):
-        _LOG.warning(
-            "%s turns against %s (correlation %.2f): is one of them mirrored, with y and yaw "
-            "negated?",
-            path.name,
-            truth.name,
-            correlation,
-        )
+    drives, turns = np.arctanh(np.clip(correlations, -0.999, 0.999)).tolist()
+    scale, least = lengths[0, 0] / lengths[1, 0], math.atanh(LEAST_CORRELATION)
+    if drives - error > least and abs(math.log(scale)) > -0.5 * math.log(FOOT_M):
+        how, why = f"moves {scale:.4g} times as far as", "in another unit than metres"
+        _LOG.warning(_ONE_OF_THEM, path.name, how, truth.name, correlations[0], why)
+    if turns + error < -least:
+        how, why = "turns against", "mirrored, with y and yaw negated"
+        _LOG.warning(_ONE_OF_THEM, path.name, how, truth.name, correlations[1], why)
 
 
 def _unlike(path: Trajectory, reference: Trajectory, why: str) -> TrajectoryError:
@@ -239,7 +243,7 @@ def trajectory_errors(
     own, true = associate(estimate, truth, config.tolerance_s)
     if len(own) < 2:
         raise TrajectoryError(_no_match(estimate, truth, len(own), config.tolerance_s))
-    _warn_of_mirror(estimate, truth)
+    _warn_of_other_frame(estimate, truth)
     poses, true_poses = estimate.poses[own], truth.poses[true]
     motion = fit_motion(poses, true_poses) if config.alignment == "se2" else IDENTITY
     aligned = moved_poses(motion, poses)
