@@ -16,10 +16,10 @@ from slamfusion.align.answer import conclude
 from slamfusion.align.decide import DECISIONS, DecisionKind
 from slamfusion.align.features import KEPT_CELLS, GridFeatures
 from slamfusion.align.normalize import (
+    check_ratio,
     check_resampling,
     common_resolution,
     normalize_grid,
-    odd_resolution,
 )
 from slamfusion.align.pair import Pair
 from slamfusion.align.records import Alignment
@@ -37,7 +37,6 @@ from slamfusion.align.search import (
 from slamfusion.align.starts import StartPose, pose_of
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import AlignConfig, FusionConfig, NormalizeConfig
-from slamfusion.errors import GridError
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
 
@@ -65,8 +64,7 @@ def align_grids(
         GridError: a grid has no known cells, or the two have odd resolutions.
         MemoryBudgetError: at their common resolution the grids would not fit into memory.
     """
-    if odd := odd_resolution(moving.resolution, reference.resolution):
-        raise GridError(f"{moving.name}: {odd}")
+    check_ratio(moving, reference.resolution)
     check_resampling([reference, moving], config.normalize, "aligning")
     resolution = common_resolution([reference, moving], config.normalize)
     features = []

@@ -97,9 +97,15 @@ def odd_resolution(size: float, typical: float) -> str | None:
     word = "coarser" if size > typical else "finer"
     said = (
         f"cells of {size:g} m are {ratio:.4g} times {word} than those of the others ({typical:g} "
-        f"m); {RATIO_MAX:g} times can be fused"
+        f"m); up to {RATIO_MAX:g} times is supported"
     )
     return f"{said}; is one in other units than metres?" if ratio >= UNITS_RATIO else said
+
+
+def check_ratio(grid: OccupancyGrid, typical: float) -> None:
+    """Refuse a grid whose cells are too coarse or too fine for others, by ``GridError``."""
+    if odd := odd_resolution(grid.resolution, typical):
+        raise GridError(f"{grid.name}: {odd}")
 
 
 def check_resampling(

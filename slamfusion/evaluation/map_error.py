@@ -19,7 +19,7 @@ from slamfusion.evaluation import wall_faces
 from slamfusion.evaluation.distances import sample_on_lattice, wall_centres
 from slamfusion.evaluation.doubled_walls import doubled_wall_share
 from slamfusion.geometry import B8, F32, I8, I64, Pose2
-from slamfusion.grid import FREE, IDENTITY, OCCUPIED, UNKNOWN, OccupancyGrid
+from slamfusion.grid import FREE, IDENTITY, OCCUPIED, UNKNOWN, CellBox, OccupancyGrid
 from slamfusion.json_values import POSE
 
 # Codes of ``MapError.difference``.
@@ -156,12 +156,7 @@ def compare_to_truth(
     config = config or RunConfig()
     tolerance_m = config.evaluate.tolerance_m
     grid, truth = (item.classified(config.fusion.normalize) for item in (grid, truth))
-    box = truth.known_box
-    if box is None:
-        raise GridError(
-            f"{truth.name}: the truth has no cell that is surely free or occupied; "
-            "give a map with known cells or other thresholds"
-        )
+    box = known_truth(truth)
 
     # The cells, on the truth's lattice.
     expected = truth.cells[box.row0 : box.row1, box.col0 : box.col1]
@@ -213,6 +208,16 @@ def compare_to_truth(
         resolution=truth.resolution,
         origin=truth.crop(box).origin,
     )
+
+
+def known_truth(truth: OccupancyGrid) -> CellBox:
+    """Return the box of the truth's known cells; GridError if it has none."""
+    if (box := truth.known_box) is None:
+        message = (
+            "no cell is surely free or occupied; give a map with known cells or other thresholds"
+        )
+        raise GridError(f"{truth.name}: {message}")
+    return box
 
 
 def _within(mask: B8, cells: float) -> B8:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from slamfusion.align.align import align_each
+from slamfusion.align.normalize import check_ratio
 from slamfusion.align.records import Alignment
 from slamfusion.align.scale import explained
 from slamfusion.compute import ComputeDevice
@@ -147,6 +148,9 @@ def evaluate_maps(
             explained(alignment, true_grid, grid, search, device)
             for grid, alignment in zip(grids, each, strict=True)
         )
+    else:
+        for grid in grids:
+            check_ratio(grid, true_grid.resolution)
     evaluations, tell = [], progress or (lambda *_: None)
     for done, (grid, shown, alignment) in enumerate(zip(grids, truths, found, strict=True)):
         tell("evaluate", done, len(grids))

@@ -143,16 +143,28 @@ def load_truth(
     resolution: float | None = None,
     scale: PixelSizes | None = None,
     warn: Warn = log_warning,
+    producers: Sequence[str] = (),
 ) -> OccupancyGrid:
     """Return the map that others are compared with; see ``load_maps``.
 
     Args:
         resolution: metres per cell of a bare image; default for a plan: ``PIXEL_M``.
         scale: of a floor plan, whose scale is searched; None: the truth is a map.
+        producers: whose maps will be compared with it.
+
+    Raises GridError for one without known cells, or with cells unlike those of the producers.
     """
+    from slamfusion.align.normalize import check_ratio  # noqa: PLC0415  (NumPy loads slowly)
+    from slamfusion.evaluation.map_error import known_truth  # noqa: PLC0415
+    from slamfusion.slam.registry import producer, settings_of  # noqa: PLC0415
+
     if scale is not None and resolution is None:
         resolution = PIXEL_M
-    return load_maps([truth], config, resolution=resolution, warn=warn, measured=True)[0]
+    (grid,) = load_maps([truth], config, resolution=resolution, warn=warn, measured=True)
+    known_truth(grid.classified(config.fusion.normalize))
+    for name in producers if scale is None else ():
+        check_ratio(grid, producer(name).resolution(settings_of(config, name)) or grid.resolution)
+    return grid
 
 
 def as_path(path: str | Path | None) -> Path | None:

@@ -173,14 +173,16 @@ def map_log(
     Raises:
         LogError: the log cannot be read.
         TrajectoryError: relations, odometry or truth cannot be read.
-        MapFileError: the true map cannot be read.
+        MapFileError, GridError: the true map cannot be read or is refused by ``load_truth``.
         SlamFusionError: the producer is unknown, the state does not fit, or no scan could be used.
     """
     config, state = config or RunConfig(), as_path(resume)
     read = map(as_path, (relations, odometry, truth, truth_map))
     files = LogFiles(Path(log), *read, scan_odometry=as_path(scan_odometry))
     ground_truth = GroundTruth.read(config, relations, odometry, truth, warn)
-    true_map = None if truth_map is None else load_truth(truth_map, config, warn=warn)
+    true_map = None
+    if truth_map is not None:
+        true_map = load_truth(truth_map, config, warn=warn, producers=(producer,))
     device = open_producer_device(producer, config) if device is None else device
     mapper = (
         make_producer(producer, config, device)

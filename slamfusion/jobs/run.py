@@ -98,7 +98,7 @@ def run_log(  # noqa: PLR0915 - one page, a heading a stage
             saved map, or a single start does not define the others.
         LogError: the log cannot be opened.
         TrajectoryError: relations, odometry or truth cannot be read.
-        MapFileError: a map cannot be read.
+        MapFileError: a map cannot be read. GridError: the true map is refused by ``load_truth``.
     """
     config = config or inputs.RUN_DEFAULTS
     saved = SavedMaps.of(saved_maps, saved_paths)
@@ -125,7 +125,7 @@ def run_log(  # noqa: PLR0915 - one page, a heading a stage
         true_map = None
         if truth_map is not None:
             true_map = inputs.load_truth(
-                truth_map, config, resolution=resolution, scale=scale, warn=warn
+                truth_map, config, resolution=resolution, scale=scale, warn=warn, producers=names
             )
         ground_truth = GroundTruth.read(config, relations, odometry, truth, warn)
         others, their_paths = saved.load(config, resolution, warn)

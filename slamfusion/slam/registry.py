@@ -52,6 +52,7 @@ class Producer:
         closes_loops: whether it corrects its path at known places; such maps are bent least.
         map_interval_s: seconds between two published maps, from its settings.
         prefers_small_kernels: see ``open_device``.
+        resolution: metres per cell of its maps, from its settings; None: not known.
     """
 
     name: str
@@ -63,6 +64,7 @@ class Producer:
     closes_loops: bool = False
     map_interval_s: Callable[[Any], float] = lambda _: MAP_INTERVAL_S
     prefers_small_kernels: bool = False
+    resolution: Callable[[Any], float | None] = lambda config: getattr(config, "resolution", None)
 
     def __post_init__(self) -> None:
         if not (self.name.isascii() and self.name.isidentifier() and self.name[0] != "_"):
@@ -96,6 +98,7 @@ _BUILT_IN = {
             load=partial(_imported, "gmapping.slam:Gmapping.load_state"),
             cost=6.0,
             map_interval_s=lambda config: float(config.chosen().map_update_interval or 0.0),
+            resolution=lambda config: config.chosen().delta,
         ),
         Producer(
             name="graph",

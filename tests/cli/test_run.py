@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 
 from slamfusion.cli.program import run_program
-from slamfusion.io import load_map, read_trajectory, write_tum
+from slamfusion.grid import UNKNOWN, OccupancyGrid
+from slamfusion.io import load_map, read_trajectory, save_map, write_tum
 from tests.cli.command import SAMPLE, assert_one_line_failure, json_of, run, tree
 from tests.cli.run_folder import MAPS_OF_FUSION, files_of, outputs
 from tests.slam.drives import write_flat
@@ -155,6 +156,8 @@ def test_the_bar_of_the_whole_run_ends_at_100_percent(
         (("--inputs", "absent.yaml"), 1, "absent.yaml"),
         (("--truth", "absent.yaml"), 1, "absent.yaml"),
         (("--truth", "tiny.yaml"), 1, "tiny.yaml: resolution must lie in"),
+        (("--truth", "mm.yaml"), 1, "mm: cells of 50 m are 1000 times coarser"),
+        (("--truth", "blank.yaml"), 1, "blank: no cell is surely free or occupied"),
         (("--inputs", "tiny.yaml"), 1, "tiny.yaml: resolution must lie in"),
         (("--processes", "0"), 1, "must lie in"),
     ],
@@ -164,9 +167,10 @@ def test_what_cannot_end_well_is_refused_before_any_work(
 ) -> None:
     (tmp_path / "flat.log").write_bytes((place / "flat.log").read_bytes())
     text = (place / "saved.yaml").read_text(encoding="utf-8")
-    (tmp_path / "tiny.yaml").write_text(
-        text.replace("resolution: 0.05", "resolution: 1.0e-09"), encoding="utf-8"
-    )
+    (tmp_path / "saved.pgm").write_bytes((place / "saved.pgm").read_bytes())
+    for name, size in (("tiny", "1.0e-09"), ("mm", "50.0")):
+        (tmp_path / f"{name}.yaml").write_text(text.replace(": 0.05", f": {size}"), "utf-8")
+    save_map(OccupancyGrid(np.full((2, 2), UNKNOWN, np.int8), 0.05), tmp_path / "blank")
     before = tree(tmp_path)
     done = run("run", "flat.log", "-o", "out", *TWO, *arguments, cwd=tmp_path)
     assert done.returncode in {code, 2}

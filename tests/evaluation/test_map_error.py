@@ -177,7 +177,7 @@ def test_of_a_plan_counts_what_the_map_has_seen() -> None:
 
 def test_a_truth_without_known_cells_is_refused_by_name() -> None:
     unknown = draw("?~", "~?").with_name("plan")
-    with pytest.raises(GridError, match="plan: the truth has no cell"):
+    with pytest.raises(GridError, match="plan: no cell is surely"):
         compare(draw("#."), unknown)
 
 

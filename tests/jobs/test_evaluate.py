@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from slamfusion.errors import GridError
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OCCUPIED, OccupancyGrid
 from slamfusion.io import save_map
@@ -49,6 +50,14 @@ def test_maps_are_measured_where_they_lie_or_aligned(tmp_path: Path) -> None:
     )
     check_document(plain(document), "evaluate")
     assert document.write(tmp_path / "report") == [tmp_path / "report" / "report.html"]
+
+
+def test_cells_in_another_unit_are_refused_with_and_without_alignment() -> None:
+    truth, grid, _ = moved()
+    in_cm = replace(truth, resolution=100.0 * truth.resolution, name="t_cm")
+    for align in (True, False):
+        with pytest.raises(GridError, match=r"moving: cells of .* are 100 times finer"):
+            evaluate_maps([grid], in_cm, CONFIG, device(), align=align)
 
 
 def test_the_fixed_step_search_never_lays_a_map_onto_the_truth() -> None:
