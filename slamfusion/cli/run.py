@@ -228,6 +228,7 @@ def _print(run: jobs.run_files.LogRun) -> None:
                 print(f"{item.name}: {item.detail}", file=sys.stderr)
     if not settings.as_json:
         _print_tables(run)
+    tables.tell_unaligned(run.evaluations)
     for fault in run.log_faults():
         output.notice(": ".join(fault))
     warnings = run.sentences()
@@ -302,7 +303,6 @@ def _print_details(run: jobs.run_files.LogRun) -> None:
     elif run.fusion.pairs:
         tables.print_pairs(run.fusion.pairs, run.made_with.device)
     if run.evaluations:
-        tables.tell_unaligned(run.evaluations)
         tables.print_evaluations(run.evaluations)
     if run.recommendation is not None and run.recommendation.paths:
         columns, rows = tables.path_table(run.recommendation)

@@ -22,6 +22,7 @@ from tests.slam.drives import write_flat
 from tests.support.datasets import ABSENT, DATASETS
 
 TWO = ("--producers", "tinyslam,graph")
+MAP_OF_ANOTHER = SAMPLE / "map_a.yaml"
 CSAIL = DATASETS / "mit-csail"
 
 
@@ -79,9 +80,10 @@ def test_the_tables_name_the_same_and_the_vote_is_that_of_fuse(
         (out / name).write_text("mine, or of an earlier run", encoding="utf-8")
     vote = ("--mode", "consensus")
     (tmp_path / "early.relations").write_text("0.2 3.0 1 0 0 0 0 0\n", encoding="utf-8")
-    options = (*TWO, *vote, "--relations", tmp_path / "early.relations")
+    options = (*TWO, *vote, "--relations", tmp_path / "early.relations", "--truth", MAP_OF_ANOTHER)
     done = run("run", log, "-o", out, *options)
     assert done.returncode == 0, done.stderr
+    assert "slamfusion: not aligned: graph: " in done.stderr
     left_out = "left out of the log: 1 x "
     assert f"{left_out}wrong number of fields (a cut-off line?) (line " in done.stderr
     cut = "the packed file ends early or is damaged; nothing after this was read (line "
@@ -108,7 +110,7 @@ def test_a_run_that_fuses_nothing_leaves_the_earlier_results(
     out = tmp_path / "out"
     shutil.copytree(made[0], out)
     before = tree(out)
-    other = ("--inputs", SAMPLE / "map_a.yaml")
+    other = ("--inputs", MAP_OF_ANOTHER)
     done = run("run", place / "flat.log", "-o", out, "--producers", "graph", *other)
     assert_one_line_failure(
         done, "no two of the inputs", f"so far are in {out}/failed", f"{out} keeps"
