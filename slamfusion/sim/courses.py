@@ -153,7 +153,9 @@ def _course(values: dict[str, Any], where: str, folder: Path) -> Course:
     values = dict(values)
     world = values.get("world")
     if isinstance(world, str):
-        values["world"] = {"name": world} if world in WORLD_NAMES else {"name": "map", "map": world}
+        values["world"] = world = {"name": world} if world in WORLD_NAMES else {"map": world}
+    if isinstance(world, dict) and world.get("map") is not None:
+        values["world"] = {"name": "map", **world}
     bases = {}
     for key, models, default in (("lidar", LIDARS, "hokuyo"), ("drive", DRIVES, "differential")):
         value = values.get(key, {})

@@ -48,8 +48,8 @@ class Floor:
 def draw_floor(config: WorldConfig, rng: np.random.Generator) -> Floor:
     """Draw a place, or load its map file."""
     if (config.name == "map") != (config.map is not None):
-        message = f"world {config.name!r} and map file {config.map!r}: give both or neither"
-        raise SimulationError(message)
+        found = f"name {config.name} and map {config.map}"
+        raise SimulationError(f"world: wanted the name of a drawn place or a map, found {found}")
     if config.map is not None:
         grid = load_map(config.map)
         classes = trinary_cells(grid.cells, NormalizeConfig())

@@ -61,8 +61,9 @@ def test_a_world_is_enough(tmp_path: Path) -> None:
 
 
 def test_any_other_world_is_a_map_file(tmp_path: Path) -> None:
-    course = load_course(written(tmp_path, {"world": "floor.yaml"}))
-    assert (course.world.name, course.world.map) == ("map", str(tmp_path / "floor.yaml"))
+    for world in ("floor.yaml", {"map": "floor.yaml"}):
+        course = load_course(written(tmp_path, {"world": world}))
+        assert (course.world.name, course.world.map) == ("map", str(tmp_path / "floor.yaml"))
 
 
 @pytest.mark.parametrize("name", COURSES)

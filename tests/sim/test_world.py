@@ -108,7 +108,7 @@ def test_a_saved_map_is_a_world(tmp_path: Path) -> None:
 
 def test_a_map_world_needs_its_map_and_no_other_has_one() -> None:
     for config in (WorldConfig(name="map"), WorldConfig(name="hall", map="drawn.yaml")):
-        with pytest.raises(SimulationError, match="give both or neither"):
+        with pytest.raises(SimulationError, match="a drawn place or a map, found name"):
             draw_floor(config, np.random.default_rng(0))
 
 
