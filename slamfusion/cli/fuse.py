@@ -25,14 +25,15 @@ from slamfusion.jobs.records import Circumstances
 
 def _files(out: Path, given: Mapping[str, Any]) -> list[Path]:
     """Return what may be written, also for groups that may be found, and such of earlier maps."""
+    from slamfusion.io.map_server import saved_files  # noqa: PLC0415  (OpenCV loads slowly)
+
     stem, count = stem_of(out), len(given["maps"]) // 2
     while Path(f"{stem}-{count + 1}{AGREEMENT_END}.yaml").exists():
         count += 1
-    maps = [
-        f"{own}{end}" for own in outputs.group_stems(stem, count) for end in ("", AGREEMENT_END)
-    ]
-    files = [Path(f"{name}{end}") for name in maps for end in (".yaml", ".pgm", ".png")]
-    return [Path(f"{stem}.json"), *files]
+    groups = outputs.group_stems(stem, count)
+    stems = [Path(f"{own}{end}") for own in groups for end in ("", AGREEMENT_END)]
+    maps = [saved_files(own, image_format=form) for own in stems for form in ("pgm", "png")]
+    return [Path(f"{stem}.json"), *dict.fromkeys(file for both in maps for file in both)]
 
 
 @click.command(

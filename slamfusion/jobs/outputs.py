@@ -70,12 +70,13 @@ def remove_empty(*folders: Path) -> None:
 
 def possible_outputs(folder: Path) -> list[Path]:
     """Return every file that a run into a folder may write, but for the report's."""
-    from slamfusion.slam.registry import producer_names  # noqa: PLC0415  (the SLAMs load slowly)
+    from slamfusion.io.map_server import saved_files  # noqa: PLC0415  (OpenCV loads slowly)
+    from slamfusion.slam.registry import producer_names  # noqa: PLC0415
 
-    names = producer_names()
-    files = [path for name in names for path in output_files(folder / name, probabilities=True)]
-    maps = [f"{name}{end}" for name in (FUSED, AGREEMENT, DRAWN) for end in (".yaml", ".pgm")]
-    return [*files, *(folder / name for name in (*maps, FUSED_PATH, RUN_RECORD))]
+    names = [folder / name for name in producer_names()]
+    files = [path for name in names for path in output_files(name, probabilities=True)]
+    files += [file for name in (FUSED, AGREEMENT, DRAWN) for file in saved_files(folder / name)]
+    return [*files, folder / FUSED_PATH, folder / RUN_RECORD]
 
 
 def group_stems(stem: Path, count: int) -> list[Path]:
@@ -85,5 +86,7 @@ def group_stems(stem: Path, count: int) -> list[Path]:
 
 def plan_files(folder: Path) -> list[Path]:
     """Return the files that the alignment of a floor plan writes."""
-    maps = [folder / f"{stem}{suffix}" for stem in (PLAN, PLACED) for suffix in (".yaml", ".png")]
-    return [*maps, folder / WORLD_FILE, folder / OVERLAY]
+    from slamfusion.io.map_server import saved_files  # noqa: PLC0415  (OpenCV loads slowly)
+
+    maps = [saved_files(folder / stem, image_format="png") for stem in (PLAN, PLACED)]
+    return [*maps[0], *maps[1], folder / WORLD_FILE, folder / OVERLAY]

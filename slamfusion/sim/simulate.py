@@ -17,7 +17,7 @@ from slamfusion.geometry import F64, Pose2, interpolate_poses, travelled
 from slamfusion.io.carmen import write_carmen
 from slamfusion.io.files import AtomicFiles, write_atomic
 from slamfusion.io.log import LogScan, deskewed_scans, odometry_path
-from slamfusion.io.map_server import save_map
+from slamfusion.io.map_server import save_map, saved_files
 from slamfusion.io.trajectories import write_tum
 from slamfusion.scan import LaserScan
 from slamfusion.sim.courses import Course, course_to_mapping
@@ -147,9 +147,8 @@ def write_recording(recording: Recording, folder: str | Path) -> list[Path]:
 
 def recording_files(course: Course, folder: Path) -> list[Path]:
     """Return the files of ``write_recording``."""
-    maps = [f"{stem}{end}" for stem in ("truth", "truth_thin") for end in (".yaml", ".pgm")]
-    names = (f"{course.name}.log.gz", *maps, "truth.tum", "course.yaml")
-    return [folder / name for name in names]
+    maps = [file for name in ("truth", "truth_thin") for file in saved_files(folder / name)]
+    return [folder / f"{course.name}.log.gz", *maps, folder / "truth.tum", folder / "course.yaml"]
 
 
 def _chance(course: Course, stream: int) -> np.random.Generator:
