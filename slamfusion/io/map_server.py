@@ -87,8 +87,8 @@ _NO_MAPS = {
     ),
     ".pbstream": "a state of Cartographer; export its map with ros2 run cartographer_ros "
     "cartographer_pbstream_to_ros_map -pbstream_filename FILE -map_filestem map",
-    ".json": "JSON, as of a robot vacuum; export its map as PNG, and give its cell size with "
-    "--resolution",
+    ".json": "JSON; next to results is their map as YAML, and a robot vacuum exports its map as "
+    "PNG, for which give the cell size with --resolution",
     **dict.fromkeys(
         (".dwg", ".svg", ".pdf"),
         "a drawing; export it as PNG, walls black on white, and give metres per pixel with "

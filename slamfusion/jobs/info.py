@@ -138,6 +138,7 @@ def describe(
 ) -> InfoDocument:
     """Describe a log, a bag, a map (of an image alone: with its resolution, metres) or a run."""
     path, config = Path(path), config or RunConfig()
+    path = path.parent if path.name == RUN_RECORD else path
     if (path / RUN_RECORD).exists() and (run := _run_info(path)) is not None:
         return run
     is_map = strip_gz(path.name).endswith(MAP_SUFFIXES) and path.name != METADATA

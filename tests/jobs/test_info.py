@@ -139,12 +139,17 @@ def test_a_run_has_its_recommendation_and_a_damaged_record_is_named(
         "fused_count": 2, "fused_mode": "drawn", "recommendation": answer, "time_s": 3.0,
         "report": "report.html", "not_measured": ["no truth"], "why_voted": None,
     }  # fmt: skip
-    (tmp_path / "fused.json").write_text(json.dumps(record), encoding="utf-8")
+    for name in ("fused.json", "graph.json"):
+        (tmp_path / name).write_text(json.dumps(record), encoding="utf-8")
     assert run_program(["info", str(tmp_path)]) == 0
     out = capsys.readouterr().out
     assert "recommendation\tUse the fused map and its path: no scan contradicts it\n" in out
     assert "slams\tgraph: 64 scans; tinyslam: killed\n" in out
     assert out.endswith("- no truth\n")
+    assert run_program(["info", str(tmp_path / "fused.json")]) == 0
+    assert capsys.readouterr().out == out
+    with pytest.raises(LogError, match="found results; `slamfusion info` and `show` read the fol"):
+        describe(tmp_path / "graph.json")
     (tmp_path / "fused.json").write_text("{}", encoding="utf-8")
     with pytest.raises(MapFileError, match="wanted the record of a run"):
         describe(tmp_path)
