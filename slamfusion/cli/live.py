@@ -111,7 +111,7 @@ def watch_command(client: Any) -> None:
 @_node_options
 def save_command(client: Any, path: str | None, image_format: str | None, mode: str | None) -> None:
     """Save the fused map to the node's save_path, or to --path in its folder."""
-    stem = path and str(stem_of(Path(path)))
+    stem = path if not path or path.endswith("/") else str(stem_of(Path(path)))
     rules = {"path": stem, "format": image_format, "mode": mode}
     given = {name: value for name, value in rules.items() if value is not None}
     _tell(client.save_as(**given) if given else client.call("save_map"))

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nav_msgs.srv import GetMap, LoadMap
 from rcl_interfaces.srv import SetParametersAtomically
-from rclpy.parameter import parameter_value_to_python
+from rclpy.parameter import Parameter, parameter_value_to_python
 from std_srvs.srv import Trigger
 
 from slamfusion.errors import SlamFusionError
@@ -18,6 +18,7 @@ from slamfusion.io.map_server import map_sources, save_map, saved_files
 from slamfusion.io.trajectories import write_tum
 from slamfusion.ros import messages
 from slamfusion.ros.fusion_inputs import saved_path
+from slamfusion.ros.parameters import check_answer
 
 if TYPE_CHECKING:
     from slamfusion.ros.fusion_node import FusionNode
@@ -58,6 +59,10 @@ class FusionServices:
             services.append((Nav2LoadMap, "~/load_map", self._load_map))
         for kind, name, answer in services:
             node.node.create_service(kind, name, self._serve(answer))
+        node.node.add_on_set_parameters_callback(self._check_path)
+        checked = self._check_path([Parameter("save_path", value=node.settings.save_path)])
+        if not checked.successful:
+            node.log.warning(f"no map can be saved: {checked.reason}")
 
     def carry_out(self, name: str) -> tuple[bool, str]:
         """Execute ``save`` or ``reset``, and return the answer."""
@@ -161,11 +166,17 @@ class FusionServices:
         node.diagnostics.clear("refused")
         return where
 
+    def _check_path(self, changes: Sequence[Any]) -> Any:
+        """Refuse a new ``save_path`` to which no map can be saved."""
+        paths = [item.value for item in changes if item.name == "save_path"]
+        texts = [path for path in paths if isinstance(path, str)]  # others are refused by type
+        return check_answer(lambda: [self._target(path, "save_path") for path in texts])
+
     def _target(self, save_path: str, name: str) -> Path:
         """Return the path of a map to write, without an ending, in the folder or below it."""
         given = user_path(save_path)
-        if given.name in {"", ".."} or "\0" in save_path:
-            raise SlamFusionError(f"{name} {save_path!r} names no file; add a name")
+        if given.name in {"", ".."} or save_path.endswith("/") or "\0" in save_path:
+            raise SlamFusionError(f"{name} {save_path!r} names no file; add a name, such as map")
         folder = Path(os.path.realpath(given.parent))
         if folder != self._root and self._root not in folder.parents:
             raise SlamFusionError(

@@ -246,14 +246,14 @@ def test_a_place_that_cannot_be_written_is_the_answer(
         (f"{tmp_path}/lab", "leads out of"),
         ("/dev/full/map", "leads out of"),
         (f"{root}/new/lab", f"there is no folder '{root}/new'"),
-        (f"{root}/", "leads out of"),
+        (f"{root}/", "names no file"),
+        ("", "names no file"),
         (f"{root}/..", "names no file"),
     ):
-        assert observer.set_parameter("fusion", "save_path", path).successful
-        answer = observer.call(Trigger, "save_map", Trigger.Request())
-        assert not answer.success, path
-        assert answer.message.startswith("not saved: save_path")
-        assert words in answer.message
+        answer = observer.set_parameter("fusion", "save_path", path)
+        assert not answer.successful, path
+        assert answer.reason.startswith("save_path")
+        assert words in answer.reason
     assert {item.name for item in tmp_path.rglob("*")} <= {"maps", "away", "0-fusion.txt"}
     # A place that is full after 8 kB: nothing is left behind.
     pid = node.process.pid

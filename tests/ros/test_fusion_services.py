@@ -43,9 +43,13 @@ class Node:
         self.session = SimpleNamespace(snapshot=FusionState())
         self.inputs: Any = SimpleNamespace(entries={"a": "a/map"}, load=self.load)
         self.answers: dict[str, Any] = {}
-        quiet = SimpleNamespace(info=str, warning=str, error=str)
+        self.warnings: list[str] = []
+        quiet = SimpleNamespace(info=str, warning=self.warnings.append, error=str)
         self.log, self.diagnostics = quiet, Diagnostics(quiet)
-        self.node = SimpleNamespace(create_service=self.create_service, get_clock=Clock)
+        self.node = SimpleNamespace(
+            create_service=self.create_service, get_clock=Clock,
+            add_on_set_parameters_callback=lambda _: None,
+        )  # fmt: skip
 
     def create_service(self, _: Any, name: str, callback: Any) -> None:
         self.answers[name] = callback
@@ -91,6 +95,13 @@ def test_save_as_names_all_that_it_does_not_take(tmp_path: Path) -> None:
     )
     taken = save_as(node, path=path, mode="raw", occupied_thresh=1, free_thresh=0.3)
     assert taken == (True, f"{path}.yaml")
+
+
+def test_a_save_path_in_a_missing_folder_is_named_at_the_start(tmp_path: Path) -> None:
+    node = Node(tmp_path / "new")
+    FusionServices(node)
+    assert "no map can be saved: save_path" in node.warnings[0]
+    assert f"there is no folder '{tmp_path}/new'; make it first" in node.warnings[0]
 
 
 def test_a_saved_input_is_not_written_over(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
