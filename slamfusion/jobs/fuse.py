@@ -298,8 +298,10 @@ def save_fused_maps(
             agreement = agreement_stem(path)
             save_map(result.agreement, agreement, mode="raw", image_format=image_format)
         if folder is not None:
+            from slamfusion.report.page import report_files  # noqa: PLC0415  (an extra)
+
             write_fusion_report(fused, folder)
-            files.remove(*outputs.report_files(folder / outputs.FAILED))
+            files.remove(*report_files(folder / outputs.FAILED))
         write_atomic(Path(f"{stem}.json"), record_bytes(document))
     if folder is not None:
         outputs.remove_empty(folder / outputs.FAILED)
@@ -340,7 +342,7 @@ def write_failed_fusion(
     """Write the report of maps that were not fused, return its path; an earlier fusion's stays."""
     from slamfusion.report import maps, page  # noqa: PLC0415  (an extra)
 
-    folder, pairs = outputs.failure_folder(directory, outputs.report_files(directory)), error.pairs
+    folder, pairs = outputs.failure_folder(directory, page.report_files(directory)), error.pairs
     if isinstance(error, AllRequiredError) and error.result is not None:
         return write_fusion_report(FusedMaps(config, error.result, None), folder, str(error))
     grids = [grid.classified(config.fusion.normalize) for grid in error.grids]

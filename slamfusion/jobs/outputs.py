@@ -56,11 +56,6 @@ def possible_report(folder: Path) -> list[Path]:
     return [folder / PAGE, *sorted(path for paths in pictures for path in paths)]
 
 
-def report_files(folder: Path) -> list[Path]:
-    """Return the page and the pictures of a report that lies in a folder; empty without a page."""
-    return possible_report(folder) if (folder / PAGE).exists() else []
-
-
 def remove_empty(*folders: Path) -> None:
     """Remove folders in which nothing is left; in this order."""
     for folder in folders:

@@ -343,13 +343,12 @@ def save_run(run: LogRun, folder: str | Path, *, probabilities: bool = False) ->
         SlamFusionError: a file cannot be written, or matplotlib is missing.
     """
     from slamfusion.jobs.run_page import run_page  # noqa: PLC0415  (an extra)
-    from slamfusion.report.page import write_page  # noqa: PLC0415
+    from slamfusion.report.page import report_files, write_page  # noqa: PLC0415
 
     wanted = target = Path(folder)
     if run.usable is None:
         target = outputs.failure_folder(
-            wanted,
-            [*outputs.possible_outputs(wanted), *outputs.report_files(wanted / outputs.REPORT)],
+            wanted, [*outputs.possible_outputs(wanted), *report_files(wanted / outputs.REPORT)]
         )
     with AtomicFiles() as files:
         producers = [
@@ -383,7 +382,7 @@ def save_run(run: LogRun, folder: str | Path, *, probabilities: bool = False) ->
         if run.usable is not None:
             files.add(target / outputs.RUN_RECORD, record_bytes(run))
         for place in [target] if run.usable is None else [wanted, wanted / outputs.FAILED]:
-            if report := outputs.report_files(place / outputs.REPORT):
+            if report := report_files(place / outputs.REPORT):
                 files.remove(*outputs.possible_outputs(place), *report)
     if run.usable is not None:
         outputs.remove_empty(wanted / outputs.FAILED / outputs.REPORT, wanted / outputs.FAILED)

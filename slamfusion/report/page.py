@@ -31,6 +31,7 @@ from slamfusion.web import bundled, front_end
 NO_TABLES = Markup("")
 _STEM = re.compile(r"[^A-Za-z0-9_-]+")
 _STEM_LENGTH = 40
+PAGE = "report.html"
 CARDS = 4
 
 
@@ -153,8 +154,7 @@ def write_page(page: Page, directory: str | Path) -> Path:
         for number, (picture, stem) in enumerate(zip(pictures, stems, strict=True), start=1)
     }
     has_layers = any(section.layers and section.layers.recorded for section in page.sections)
-    path = directory / "report.html"
-    earlier = set(directory.glob("[0-9][0-9]-*.*")) if path.exists() else set()
+    path = directory / PAGE
     written = {
         (directory / name).with_suffix(f".{form}"): data
         for picture, name in names.items()
@@ -168,10 +168,17 @@ def write_page(page: Page, directory: str | Path) -> Path:
         for picture_path, data in written.items():
             files.add(picture_path, data)
         files.add(path, html.encode("utf-8", errors="replace"))
-        for picture_path in sorted(earlier - written.keys()):
-            if picture_path.suffix.removeprefix(".") in PICTURE_FORMS:
-                files.remove(picture_path)
+        files.remove(*report_files(directory))
     return path
+
+
+def report_files(folder: Path) -> list[Path]:
+    """Return the page of a report in a folder and the pictures that it names; none without one."""
+    path = folder / PAGE
+    text = path.read_text("utf-8", "replace") if path.exists() else ""
+    pictures = [folder.glob(f"[0-9][0-9]-*.{form}") for form in PICTURE_FORMS]
+    own = [file for files in pictures for file in files if f"{file.stem}.png" in text]
+    return [path, *sorted(own)] if text else []
 
 
 def _script(*, is_used: bool) -> dict[str, str]:

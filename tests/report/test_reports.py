@@ -253,6 +253,8 @@ def test_pictures_are_also_had_as_svg_and_pdf_the_same_bytes_each_time(tmp_path:
     assert all(words in text for words in ("room 0 against truth", "missing wall", "x [m]"))
     write_evaluation(evaluations()[:1], tmp_path, config)
     assert first == {path.name: path.read_bytes() for path in tmp_path.glob("0*")}
-    # A report without them leaves none of an earlier one.
+    # A report without them leaves none of an earlier one, and what is no part of one.
+    (tmp_path / "01-mine.svg").touch()
     write_evaluation(evaluations()[:1], tmp_path, CONFIG)
-    assert {path.suffix for path in tmp_path.iterdir()} == {".png", ".html"}
+    names = {path.name for path in tmp_path.iterdir() if path.suffix not in {".png", ".html"}}
+    assert names == {"01-mine.svg"}
