@@ -13,6 +13,7 @@ from slamfusion.cli import options, output, results, tables
 from slamfusion.cli.help import Command
 from slamfusion.cli.paths import CASE_MAP, case_folders
 from slamfusion.config import RunConfig
+from slamfusion.errors import SlamFusionError
 from slamfusion.jobs.cases import CaseFile
 from slamfusion.jobs.inputs import PixelSizes
 from slamfusion.jobs.records import number
@@ -90,16 +91,18 @@ def command(
     results.save_results(
         found, [*rows, *found.distance_rows()], lambda: _inputs(paths, found.truths, distances_path)
     )
-    if output.print_if_json(found):
-        return
-    if len(truths) > 1:
-        results.print_items(rows, "map", ("error", "wall_f1"))
-    elif evaluations:
-        tables.print_evaluations(evaluations)
-        results.print_repetitions(rows, "map")
-    for comparison in found.distances:
-        _print_distances(comparison)
-    output.print_facts(*(("report", page) for page in pages))
+    if not output.print_if_json(found):
+        if len(truths) > 1:
+            results.print_items(rows, "map", ("error", "wall_f1"))
+        elif evaluations:
+            tables.print_evaluations(evaluations)
+            results.print_repetitions(rows, "map")
+        for comparison in found.distances:
+            _print_distances(comparison)
+        output.print_facts(*(("report", page) for page in pages))
+    if empty := [own.name for own in found.distances if own.mean_absolute_error_m is None]:
+        why = "no wall near both points; are they in metres, in its map frame?"
+        raise SlamFusionError(f"no distance could be measured in {', '.join(empty)}: {why}")
 
 
 def _inputs(

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from slamfusion.cli.program import run_program
 from slamfusion.errors import GridError
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OCCUPIED, OccupancyGrid
@@ -70,7 +71,9 @@ def test_the_fixed_step_search_never_lays_a_map_onto_the_truth() -> None:
     assert with_step.error == plain_search.error
 
 
-def test_measured_distances_are_compared(tmp_path: Path) -> None:
+def test_measured_distances_are_compared(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     cells = np.zeros((23, 40), dtype=np.int8)
     cells[[1, 21]] = OCCUPIED  # two walls, 20 cells of 0.1 m apart
     corridor = OccupancyGrid(cells, 0.1, Pose2(0.0, -1.15), "corridor")
@@ -84,5 +87,9 @@ def test_measured_distances_are_compared(tmp_path: Path) -> None:
     ((case, _, method, figure, value, *_),) = cases.distance_rows()
     assert (case, method, figure) == ("measured distances", "corridor", "distance_error_mean_m")
     assert (value, cases.rows()) == (pytest.approx(0.1), [])
+    measured.write_text("name,x1,y1,x2,y2,distance_m\nwidth,50,-0.9,50,1.2,1.9\n")
+    command = ["evaluate", str(tmp_path / "corridor.yaml"), "--distances", str(measured)]
+    assert run_program(command) == 1
+    assert "no distance could be measured in corridor: no wall near" in capsys.readouterr().err
     with pytest.raises(FileNotFoundError, match="absent"):
         measure_distances([corridor], tmp_path / "absent.csv")
