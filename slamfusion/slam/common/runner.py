@@ -8,7 +8,7 @@ import resource
 import sys
 import time
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
@@ -154,7 +154,9 @@ class ProducerRun:
 
     def online_path(self) -> Trajectory | None:
         """Return the poses as they were first reported; None if the producer keeps none."""
-        return next((path for path in self.other_paths if path.name == FIRST_REPORTED), None)
+        named = {path.name: path for path in self.other_paths}
+        path = named.get(FIRST_REPORTED)
+        return path and replace(path, name=f"{self.trajectory.name} {FIRST_REPORTED}")
 
     def _contradictions(self) -> tuple[str, ...]:
         sentences, health = [], self.health
