@@ -17,6 +17,7 @@ from slamfusion.cli.results import table_option
 from slamfusion.config import RunConfig
 from slamfusion.errors import AlignmentError
 from slamfusion.fleet import executor_for
+from slamfusion.io.lines import saved_files
 from slamfusion.jobs import outputs
 from slamfusion.jobs.inputs import LIKE_PAPER, GivenMaps, PixelSizes, device_for
 from slamfusion.jobs.outputs import AGREEMENT_END
@@ -25,8 +26,6 @@ from slamfusion.jobs.records import Circumstances
 
 def _files(out: Path, given: Mapping[str, Any]) -> list[Path]:
     """Return what may be written, also for groups that may be found, and such of earlier maps."""
-    from slamfusion.io.map_server import saved_files  # noqa: PLC0415  (OpenCV loads slowly)
-
     stem, count = stem_of(out), len(given["maps"]) // 2
     while Path(f"{stem}-{count + 1}{AGREEMENT_END}.yaml").exists():
         count += 1

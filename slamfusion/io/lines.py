@@ -92,6 +92,15 @@ KINDS = {
 }
 
 
+def saved_files(
+    stem: Path, mode: str = "trinary", image_format: str | None = None
+) -> tuple[Path, Path]:
+    """Return the YAML and the picture that ``save_map`` writes."""
+    if image_format is None:
+        image_format = "png" if mode == "scale" else "pgm"
+    return Path(f"{stem}.yaml"), Path(f"{stem}.{image_format}")
+
+
 def numbers(
     fields: Sequence[bytes],
     at: str,

@@ -51,7 +51,7 @@ from slamfusion.io.images import (
     pixel_digest,
     read_image,
 )
-from slamfusion.io.lines import KINDS
+from slamfusion.io.lines import KINDS, saved_files
 from slamfusion.io.yaml_file import read_yaml
 
 _LOG = logging.getLogger(__name__)
@@ -603,15 +603,6 @@ def save_map(
         files.add(image_path, encode_image(pixels, image_format))
         files.add(yaml_path, text.encode())
     return yaml_path, image_path
-
-
-def saved_files(
-    stem: Path, mode: str = "trinary", image_format: str | None = None
-) -> tuple[Path, Path]:
-    """Return the YAML and the picture that ``save_map`` writes."""
-    if image_format is None:
-        image_format = "png" if mode == "scale" else "pgm"
-    return Path(f"{stem}.yaml"), Path(f"{stem}.{image_format}")
 
 
 def _check_saving(grid: OccupancyGrid, stem: Path, rules: Rules, image_format: str) -> None:

@@ -11,6 +11,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from slamfusion.config import PICTURE_FORMS
+from slamfusion.io.lines import saved_files
 
 # The files of a producer's run: the map, its picture, the path and the record.
 SUFFIXES = (".yaml", ".pgm", ".tum", ".json")
@@ -65,8 +66,7 @@ def remove_empty(*folders: Path) -> None:
 
 def possible_outputs(folder: Path) -> list[Path]:
     """Return every file that a run into a folder may write, but for the report's."""
-    from slamfusion.io.map_server import saved_files  # noqa: PLC0415  (OpenCV loads slowly)
-    from slamfusion.slam.registry import producer_names  # noqa: PLC0415
+    from slamfusion.slam.registry import producer_names  # noqa: PLC0415  (the SLAMs load slowly)
 
     names = [folder / name for name in producer_names()]
     files = [path for name in names for path in output_files(name, probabilities=True)]
@@ -81,7 +81,5 @@ def group_stems(stem: Path, count: int) -> list[Path]:
 
 def plan_files(folder: Path) -> list[Path]:
     """Return the files that the alignment of a floor plan writes."""
-    from slamfusion.io.map_server import saved_files  # noqa: PLC0415  (OpenCV loads slowly)
-
     maps = [saved_files(folder / stem, image_format="png") for stem in (PLAN, PLACED)]
     return [*maps[0], *maps[1], folder / WORLD_FILE, folder / OVERLAY]

@@ -14,11 +14,12 @@ from std_srvs.srv import Trigger
 
 from slamfusion.errors import SlamFusionError
 from slamfusion.io.files import refuse_overwriting, user_path
-from slamfusion.io.map_server import map_sources, save_map, saved_files
+from slamfusion.io.lines import saved_files
+from slamfusion.io.map_server import map_sources, save_map
 from slamfusion.io.trajectories import write_tum
 from slamfusion.ros import messages
 from slamfusion.ros.fusion_inputs import saved_path
-from slamfusion.ros.parameters import check_answer
+from slamfusion.ros.parameters import outcome
 
 if TYPE_CHECKING:
     from slamfusion.ros.fusion_node import FusionNode
@@ -170,7 +171,7 @@ class FusionServices:
         """Refuse a new ``save_path`` to which no map can be saved."""
         paths = [item.value for item in changes if item.name == "save_path"]
         texts = [path for path in paths if isinstance(path, str)]  # others are refused by type
-        return check_answer(lambda: [self._target(path, "save_path") for path in texts])
+        return outcome(lambda: [self._target(path, "save_path") for path in texts])
 
     def _target(self, save_path: str, name: str) -> Path:
         """Return the path of a map to write, without an ending, in the folder or below it."""

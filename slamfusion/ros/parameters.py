@@ -135,7 +135,7 @@ def declare(
         ]
 
     def check(changes: list[Any]) -> SetParametersResult:
-        return check_answer(lambda: own(changes) and built(own(changes)))
+        return outcome(lambda: own(changes) and built(own(changes)))
 
     def take(changes: list[Any]) -> None:
         if own(changes) and on_change is not None:
@@ -184,9 +184,7 @@ def declare_names(
     default = names.default if default is None else default
     given = read(node.declare_parameter(names.name, [*default] or None, descriptor).value)
     if check is not None and on_change is not None:
-        node.add_on_set_parameters_callback(
-            lambda changes: check_answer(lambda: each(check, changes))
-        )
+        node.add_on_set_parameters_callback(lambda changes: outcome(lambda: each(check, changes)))
         node.add_post_set_parameters_callback(lambda changes: each(on_change, changes))
     return given
 
@@ -286,7 +284,7 @@ def nearest_parameter(node: Any, name: str) -> str:
     return str(difflib.get_close_matches(name, known, n=1, cutoff=0.0)[0])
 
 
-def check_answer(check: Callable[[], object]) -> SetParametersResult:
+def outcome(check: Callable[[], object]) -> SetParametersResult:
     """Return whether new values pass a check, or why it refused them by a SlamFusionError."""
     try:
         check()

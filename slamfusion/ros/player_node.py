@@ -27,9 +27,10 @@ from slamfusion.deskew import Deskewer
 from slamfusion.errors import ConfigError, LogError, SlamFusionError, counted
 from slamfusion.geometry import Pose2
 from slamfusion.io.files import refuse_overwriting, user_path
+from slamfusion.io.lines import saved_files
 from slamfusion.io.log import LogScan, ScanLog
 from slamfusion.io.logs import log_sources, open_log
-from slamfusion.io.map_server import save_map, saved_files
+from slamfusion.io.map_server import save_map
 from slamfusion.io.stamps import AHEAD_S, CONFIRMING
 from slamfusion.io.trajectories import write_tum
 from slamfusion.ros import messages, qos

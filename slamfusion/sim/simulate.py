@@ -16,8 +16,9 @@ from slamfusion.errors import SimulationError
 from slamfusion.geometry import F64, Pose2, interpolate_poses, travelled
 from slamfusion.io.carmen import write_carmen
 from slamfusion.io.files import AtomicFiles, write_atomic
+from slamfusion.io.lines import saved_files
 from slamfusion.io.log import LogScan, deskewed_scans, odometry_path
-from slamfusion.io.map_server import save_map, saved_files
+from slamfusion.io.map_server import save_map
 from slamfusion.io.trajectories import write_tum
 from slamfusion.scan import LaserScan
 from slamfusion.sim.courses import Course, course_to_mapping
