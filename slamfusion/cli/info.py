@@ -40,9 +40,8 @@ def command(path: Path, resolution: float | None, config: RunConfig) -> None:
         return
     (record,) = (item for item in (found.log, found.map, found.run) if item is not None)
     rows = [_row(field.name, getattr(record, field.name)) for field in fields(record)]
-    Table(
-        (" ", " "), [row for row in rows if row[1]], title=str(found.file), has_head=False
-    ).print()
+    rows = [row for row in rows if row[1]]
+    Table((" ", " "), rows, title=str(found.file), has_head=False).print()
     for sentence in found.remarks:
         say(f"- {sentence}", indent=2)
 

@@ -78,9 +78,7 @@ MAP_SUFFIXES = (".yaml", ".yml", ".pgm", ".png", ".bmp", ".pnm", ".dxf")
 KINDS = {
     ".tum": "a path; `slamfusion trajectory` and `judge` read paths, and the true path is "
     "--truth-trajectory of `run`, --truth of other commands",
-    **dict.fromkeys(
-        (".json", ".html"), "results; `slamfusion info` and `show` read the folder of a run"
-    ),
+    **dict.fromkeys((".json", ".html"), "results; `slamfusion info` and `show` read their folder"),
     ".zip": "a zip; `slamfusion compare` reads those of --save-results",
     ".zarr": "a store of fused maps; the Python package zarr reads it, and a map that is not too "
     "large is also in the YAML file next to it",

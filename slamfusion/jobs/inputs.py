@@ -150,9 +150,7 @@ def load_truth(
     Args:
         resolution: metres per cell of a bare image; default for a plan: ``PIXEL_M``.
         scale: of a floor plan, whose scale is searched; None: the truth is a map.
-        producers: whose maps will be compared with it.
-
-    Raises GridError for one without known cells, or with cells unlike those of the producers.
+        producers: whose maps will be compared with it; GridError if its cells are unlike theirs.
     """
     from slamfusion.align.normalize import check_ratio  # noqa: PLC0415  (NumPy loads slowly)
     from slamfusion.evaluation.map_error import known_truth  # noqa: PLC0415

@@ -176,9 +176,8 @@ def report_files(folder: Path) -> list[Path]:
     """Return the page of a report in a folder and the pictures that it names; none without one."""
     path = folder / PAGE
     text = path.read_text("utf-8", "replace") if path.exists() else ""
-    pictures = [folder.glob(f"[0-9][0-9]-*.{form}") for form in PICTURE_FORMS]
-    own = [file for files in pictures for file in files if f"{file.stem}.png" in text]
-    return [path, *sorted(own)] if text else []
+    files = [file for form in PICTURE_FORMS for file in folder.glob(f"[0-9][0-9]-*.{form}")]
+    return [path, *(own for own in files if f"{own.stem}.png" in text)] if text else []
 
 
 def _script(*, is_used: bool) -> dict[str, str]:

@@ -169,9 +169,10 @@ class FusionServices:
 
     def _check_path(self, changes: Sequence[Any]) -> Any:
         """Refuse a new ``save_path`` to which no map can be saved."""
-        paths = [item.value for item in changes if item.name == "save_path"]
-        texts = [path for path in paths if isinstance(path, str)]  # others are refused by type
-        return outcome(lambda: [self._target(path, "save_path") for path in texts])
+        paths = [
+            own.value for own in changes if own.name == "save_path" and isinstance(own.value, str)
+        ]
+        return outcome(lambda: [self._target(path, "save_path") for path in paths])
 
     def _target(self, save_path: str, name: str) -> Path:
         """Return the path of a map to write, without an ending, in the folder or below it."""

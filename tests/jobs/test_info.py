@@ -148,7 +148,7 @@ def test_a_run_has_its_recommendation_and_a_damaged_record_is_named(
     assert out.endswith("- no truth\n")
     assert run_program(["info", str(tmp_path / "fused.json")]) == 0
     assert capsys.readouterr().out == out
-    with pytest.raises(LogError, match="found results; `slamfusion info` and `show` read the fol"):
+    with pytest.raises(LogError, match="found results; `slamfusion info` and `show` read their"):
         describe(tmp_path / "graph.json")
     (tmp_path / "fused.json").write_text("{}", encoding="utf-8")
     with pytest.raises(MapFileError, match="wanted the record of a run"):

@@ -154,8 +154,7 @@ class ProducerRun:
 
     def online_path(self) -> Trajectory | None:
         """Return the poses as they were first reported; None if the producer keeps none."""
-        named = {path.name: path for path in self.other_paths}
-        path = named.get(FIRST_REPORTED)
+        path = next((own for own in self.other_paths if own.name == FIRST_REPORTED), None)
         return path and replace(path, name=f"{self.trajectory.name} {FIRST_REPORTED}")
 
     def _contradictions(self) -> tuple[str, ...]:
