@@ -212,6 +212,7 @@ def _map_info(path: Path, config: RunConfig, resolution: float | None) -> InfoDo
     (grid,) = load_maps([path], config, resolution=resolution, warn=remarks.append)
     walls_m2 = float((grid.cells == OCCUPIED).sum() * grid.resolution**2)
     known_m2 = float((grid.cells != UNKNOWN).sum() * grid.resolution**2)
+    remarks += ["cells of over a metre: is its resolution in metres?"] * (grid.resolution > 1.0)
     if not walls_m2:
         remarks.append("no wall in it: it aligns with no other map")
     elif 2.0 * walls_m2 > known_m2:

@@ -118,11 +118,13 @@ def test_a_map_has_its_size_and_area(capsys: pytest.CaptureFixture[str]) -> None
     assert "(b.yaml); wanted LOG|BAG|MAP|RUN; see slamfusion info" in capsys.readouterr().err
 
 
-def test_a_map_that_is_mostly_wall_is_named(tmp_path: Path) -> None:
+def test_a_map_that_is_mostly_wall_or_in_millimetres_is_named(tmp_path: Path) -> None:
     text = (SAMPLE / "map_a.yaml").read_text(encoding="utf-8").replace("negate: 0", "negate: 1")
     path = tmp_path / "map.yaml"
     path.write_text(text.replace("map_a.pgm", str(SAMPLE / "map_a.pgm")), encoding="utf-8")
     assert any("is wall: check 'negate'" in remark for remark in describe(path).remarks)
+    path.write_text(path.read_text().replace("resolution: 0.05", "resolution: 50.0"))
+    assert "cells of over a metre: is its resolution in metres?" in describe(path).remarks
     assert not describe(SAMPLE / "map_a.yaml").remarks
 
 
