@@ -5,6 +5,11 @@ chunk of the drive are moved together over the map of the chunks before some tim
 they fit another place better than their own, the path is wrong there by that distance. People,
 glass, vegetation and a noisy laser make hits unlikely at every place, so they do not count.
 
+That place is sought nearby. Where a path is torn, all that was seen afterwards lies farther off,
+and turned. So if more than a quarter of what was seen after some time stands where there was free
+space before, the maps of both times are aligned. Without that, rooms that look alike would pass for
+one room.
+
 The place is chosen on one half of the chunk and tested on the other, and vice versa, so that the
 best of many places is no better by chance. The test is a t-test over blocks of neighbouring scans,
 corrected for the number of tests: at most one in a hundred right drives has a chunk that is
@@ -16,16 +21,24 @@ Royal Statistical Society B 36(2), 1974 (choose on one part, test on the other).
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 import scipy
 
+from slamfusion.align.features import GridFeatures
+from slamfusion.align.normalize import normalize_grid
+from slamfusion.align.pair import Pair
+from slamfusion.align.search import search
+from slamfusion.align.shifts import SearchWindow
+from slamfusion.compute.layout import BEAM_ONE, TILE
+from slamfusion.config import AlignConfig, NormalizeConfig
 from slamfusion.evidence.beams import CHUNKS
 from slamfusion.evidence.parting import PART_M
 from slamfusion.evidence.predictive import (
-    LATTICE_YAW_RAD,
+    CELL_M,
     NEIGHBOURS,
     OTHERS,
     REACH_CELLS,
@@ -34,16 +47,21 @@ from slamfusion.evidence.predictive import (
     DrawnChunks,
     PathEvidence,
 )
-from slamfusion.geometry import F64, I64, U32, Pose2
+from slamfusion.geometry import F64, I64, U32, Pose2, moved_poses
 from slamfusion.trajectory import Trajectory
 
-# If more of the seen walls were free space before, the robot is elsewhere.
-CONTRADICTED = 0.5
+# Share of the seen walls that were free space at other times above which a map needs a check:
+# people and moved furniture make up to a quarter. If more than the second share were free space
+# before, the robot is elsewhere.
+DOUBTED, CONTRADICTED = 0.25, 0.5
 # The fewest hits for a contradiction.
 LEAST_ASKED = 200
 
 # Range and step of the moved hits, metres: twice the deviation of a hit misses no place.
 REACH_M, STEP_M = 0.8, 0.1
+# The most places tried of all that was seen after some time, how far they may be turned, and cells
+# of the largest map that is aligned, 200 m on each side.
+MOST_PLACES, TURNED_RAD, MOST_CELLS = 4, 0.25 * np.pi, 1 << 24
 # Smaller displacements are ignored, metres: paths this close have met again.
 LEAST_M = 0.5 * PART_M
 # Walls farther from a hit, cells, do not explain it: twice the deviation again.
@@ -60,6 +78,7 @@ PRICE = float(np.log(UNKNOWN))
 _STEPS_M = np.arange(-round(REACH_M / STEP_M), round(REACH_M / STEP_M) + 1) * STEP_M
 _SQUARE_M = np.stack(np.meshgrid(_STEPS_M, _STEPS_M), axis=-1).reshape(-1, 2)
 MOVES_M = _SQUARE_M[np.hypot(*_SQUARE_M.T) <= REACH_M + 0.5 * STEP_M]
+_NEAR_M = np.hypot(*MOVES_M.T)
 
 
 @dataclass(frozen=True)
@@ -97,7 +116,7 @@ def find_displacements(evidence: PathEvidence, name: str) -> tuple[Displacement,
     some = _some_hits(drawn)
     p_values, away_m = np.ones(CHUNKS), np.zeros(CHUNKS)
     for split in SPLITS:
-        among = _other_side(split)
+        among, is_late = _other_side(split), drawn.chunks[some] >= split * CHUNKS
         # Hits that the other side has not seen contradict nothing.
         likelihoods, is_seen = drawn.look_up(some, among=among)
         if not is_seen.any():
@@ -105,14 +124,22 @@ def find_displacements(evidence: PathEvidence, name: str) -> tuple[Displacement,
         picked, own = some[is_seen], np.maximum(likelihoods[is_seen], PRICE)
         block = drawn.hit_scans[picked] * (CHUNKS * BLOCKS) // len(scans)
         hits = np.maximum(np.bincount(block, minlength=CHUNKS * BLOCKS), 1)
-        moved = np.maximum(_moved(drawn, picked, among), PRICE) - own
+        moves, moves_m = _moved(drawn, picked, among), np.tile(_NEAR_M[:, None], CHUNKS)
+        far, is_moved = likelihoods[is_seen], is_late[is_seen]
+        places = list(_better_places(drawn, picked[is_moved], far[is_moved], split))
+        if places:
+            # The one that explains most of all chunks together.
+            far[is_moved], motion = max(places, key=_explained)
+            moves = np.concatenate((moves, far[None]))
+            moves_m = np.concatenate((moves_m, _means_m(drawn, picked, motion)[None]))
+        moved = np.maximum(moves, PRICE) - own
         sums = np.array([np.bincount(block, gain, CHUNKS * BLOCKS) for gain in moved])
         gains = (sums / hits).reshape(-1, CHUNKS, BLOCKS)
         found = _p_values(gains)
         is_surer = found < p_values
         p_values[is_surer] = found[is_surer]
-        best = MOVES_M[gains.sum(axis=2).argmax(axis=0)]
-        away_m[is_surer] = np.hypot(*best.T)[is_surer]
+        best = gains.sum(axis=2).argmax(axis=0)
+        away_m[is_surer] = moves_m[best, np.arange(CHUNKS)][is_surer]
     since_s = scans.stamps_s - scans.stamps_s[0]
     displaced = []
     is_sure = (p_values < SURE / (CHUNKS * len(SPLITS))) & (away_m > LEAST_M)
@@ -172,19 +199,71 @@ def moved_together(evidence: PathEvidence, name: str, path: Trajectory) -> tuple
     """
     scans, drawn = evidence.scans, _drawn(evidence, name, WALL_CELLS)
     some = _some_hits(drawn)
-    since, most, move_m = 0, 0.0, np.zeros(2)
+    since, most, motion = 0, 0.0, Pose2()
     for first in range(2, CHUNKS):
         late = some[drawn.chunks[some] >= first]
         late = late[drawn.look_up(late, _before(first))[1]]
         sums = _moved(drawn, late, _before(first)).sum(axis=1)
         gain = float(sums.max() - sums[len(sums) // 2]) / len(some)
         if gain > most:
-            since, most, move_m = first, gain, MOVES_M[sums.argmax()]
-    yaw_rad = float(evidence.scores[name].poses[evidence.is_judged][0, 2]) - LATTICE_YAW_RAD
-    poses = path.poses.copy()
-    is_late = path.stamps_s >= scans.stamps_s[scans.chunks.searchsorted(since)]
-    poses[is_late, :2] += Pose2(0.0, 0.0, yaw_rad).transform(move_m)
+            along = Pose2(0.0, 0.0, drawn.origin.yaw_rad)
+            move_m = along.transform(MOVES_M[sums.argmax()]).tolist()
+            since, most, motion = int(scans.chunks.searchsorted(first)), gain, Pose2(*move_m)
+    for split in SPLITS:
+        late = some[drawn.chunks[some] >= split * CHUNKS]
+        own, is_seen = drawn.look_up(late, _other_side(split))
+        late, own = late[is_seen], own[is_seen]
+        for found, place in _better_places(drawn, late, own, split):
+            # Of the hits from each one on.
+            gains = np.cumsum((found - own)[::-1])[::-1] / len(some)
+            if gains.max() > most:
+                scan = drawn.hit_scans[late[gains.argmax()]]
+                since, most, motion = int(scan), float(gains.max()), place
+    poses, is_late = path.poses.copy(), path.stamps_s >= scans.stamps_s[since]
+    poses[is_late] = moved_poses(motion, poses[is_late])
     return replace(path, poses=poses), most
+
+
+def _better_places(
+    drawn: DrawnChunks, late: I64, own: F64, split: float
+) -> Iterator[tuple[F64, Pose2]]:
+    """Yield motions of all that was seen after a share of the drive onto what was seen before.
+
+    Each after the log-likelihoods of the hits ``late``, (P,), when they are moved; ``own`` are
+    those where they are. None if few of the hits contradict what was seen before; else, moved, half
+    as many or fewer do, and few.
+    """
+    against = int(np.count_nonzero(own < PRICE))
+    if against <= DOUBTED * len(late) or drawn.table.size * TILE**2 > MOST_CELLS:
+        return
+    before = np.uint32((1 << round(split * CHUNKS)) - 1)
+    pair = Pair(*(_features(drawn, bits) for bits in (before, ~before)))
+    start = pair.motion_of(Pose2())
+    window = SearchWindow((start[0], start[1], start[2]), None, TURNED_RAD)
+    _, motions = search(pair, AlignConfig(), window)
+    for motion in map(pair.transform_of, motions[:MOST_PLACES]):
+        found, _ = drawn.moved(motion).look_up(late, _other_side(split))
+        if 2 * int(np.count_nonzero(found < PRICE)) <= min(against, CONTRADICTED * len(late)):
+            yield found, motion
+
+
+def _explained(place: tuple[F64, Pose2]) -> float:
+    """Return how well hits fit at a place, sum of the log-likelihoods."""
+    return float(np.maximum(place[0], PRICE).sum())
+
+
+def _features(drawn: DrawnChunks, bits: np.uint32) -> GridFeatures:
+    """Make the map of some chunks ready to be aligned."""
+    grid = normalize_grid(drawn.grid(bits), CELL_M, NormalizeConfig(), drawn.device)
+    return GridFeatures(grid, drawn.device)
+
+
+def _means_m(drawn: DrawnChunks, picked: I64, motion: Pose2) -> F64:
+    """Return how far a motion moves the hits of each chunk in the mean, (CHUNKS,) metres."""
+    moves = (drawn.moved(motion).beams - drawn.beams)[picked, :2] * (CELL_M / BEAM_ONE)
+    chunks = drawn.chunks[picked]
+    sums = np.bincount(chunks, np.hypot(*moves.T), CHUNKS)
+    return np.asarray(sums / np.maximum(np.bincount(chunks, minlength=CHUNKS), 1))
 
 
 def _moved(drawn: DrawnChunks, picked: I64, among: U32) -> F64:

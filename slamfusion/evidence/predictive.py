@@ -35,10 +35,14 @@ from slamfusion.geometry import (
     I32,
     I64,
     U32,
+    Pose2,
     compose_poses,
     invert_poses,
+    pose_of,
     transform_points,
 )
+from slamfusion.grid import FREE, OCCUPIED, OccupancyGrid
+from slamfusion.grid import UNKNOWN as NOT_SEEN
 from slamfusion.trajectory import Trajectory
 
 # Parts of the judged scans in the bootstrap: four per chunk, so that a path that is wrong for a
@@ -308,6 +312,7 @@ class DrawnChunks:
     """The map that a path draws, from which each chunk of the drive can be left out.
 
     Attributes:
+        origin: of its lattice, in the frame of the path.
         hit_scans: (B,) int64, the scan of each judged hit.
         chunks: (B,) int64, the chunk of each.
         beams, facings: of the judged hits, see ``chunk_marks``.
@@ -315,6 +320,7 @@ class DrawnChunks:
 
     device: ComputeDevice
     reach_cells: int
+    origin: Pose2
     hit_scans: I64
     chunks: I64
     beams: I32
@@ -374,7 +380,11 @@ class DrawnChunks:
         )
         ends, faces = device.upload(beams), device.upload(facings)
         device.mark_chunks(hits, seen, table, ends, faces, device.upload(_CHUNK_BITS[chunks]))
-        return cls(device, reach_cells, hit_scans, chunks, beams, facings, table, hits, seen)
+        lattice_m = np.append(low * (TILE * CELL_M), 0.0)
+        origin = pose_of(compose_poses(first, compose_poses(invert_poses(lattice), lattice_m)))
+        return cls(
+            device, reach_cells, origin, hit_scans, chunks, beams, facings, table, hits, seen
+        )
 
     def look_up(
         self, picked: I64 | slice = np.s_[:], among: U32 = OTHERS, moved_m: F64 | None = None
@@ -394,6 +404,24 @@ class DrawnChunks:
             beams[:, :2] += np.rint(moved_m * (BEAM_ONE / CELL_M)).astype(np.int32)
         chunks, facings = self.chunks[picked], self.facings[picked]
         return log_likelihoods(self._nearest(beams, facings, among[chunks], self.reach_cells))
+
+    def moved(self, motion: Pose2) -> DrawnChunks:
+        """Return the same map, and all hits moved in the frame of the path."""
+        own = self.origin.inverse().compose(motion).compose(self.origin)
+        beams = self.beams.copy()
+        places = self.beams[:, :2] * (CELL_M / BEAM_ONE)
+        beams[:, :2] = np.rint(own.transform(places) * (BEAM_ONE / CELL_M))
+        turn = round(own.yaw_rad * FACINGS / (2.0 * np.pi))
+        return replace(self, beams=beams, facings=(self.facings + turn) % FACINGS)
+
+    def grid(self, bits: np.uint32) -> OccupancyGrid:
+        """Return the map of the chunks with these bits, in the frame of the path."""
+        pages, hits, seen = map(self.device.download, (self.table, self.hits, self.seen))
+        is_hit = np.bitwise_or.reduce(hits, axis=1) & bits != 0
+        tiles = np.where(is_hit, OCCUPIED, np.where(seen & bits, FREE, NOT_SEEN)).astype(np.int8)
+        shape = pages.shape[0] * TILE, pages.shape[1] * TILE
+        cells = tiles[pages].swapaxes(1, 2).reshape(shape)
+        return OccupancyGrid(cells, CELL_M, self.origin, "drawn")
 
     def passing(self) -> F64:
         """Return how likely beams pass a place on their way, (B,) log-likelihoods; short ones 0.

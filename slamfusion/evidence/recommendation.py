@@ -22,7 +22,12 @@ import numpy as np
 
 from slamfusion.errors import counted
 from slamfusion.evidence.beams import CHUNKS
-from slamfusion.evidence.displacement import CONTRADICTED, contradicted_share, find_displacements
+from slamfusion.evidence.displacement import (
+    CONTRADICTED,
+    DOUBTED,
+    contradicted_share,
+    find_displacements,
+)
 from slamfusion.evidence.parting import PART_M, Span, path_gap_m, path_spans
 from slamfusion.evidence.predictive import BLOCKS, SURE, PathEvidence, compare_sums, with_path
 from slamfusion.geometry import fit_motion, moved_poses
@@ -31,9 +36,6 @@ from slamfusion.trajectory import Trajectory, flag_runs, nearest_stamps
 
 # The most places to check.
 MOST_CHECKS = 3
-# Share of the seen walls that were free space at other times above which the map needs a check:
-# people and moved furniture make up to a quarter.
-DOUBTED = 0.25
 # Share of the drive with displaced walls above which the map is wrong as a whole.
 BENT = 0.25
 # Share of the hits seen at another time below which nothing confirms the path.

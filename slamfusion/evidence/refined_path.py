@@ -32,7 +32,7 @@ nearly as well as the path, the path is also refined from the odometry, and the 
 they are undecided, the start at the odometry is taken: the SLAMs use the odometry too, and distort
 it. Where the wheels slipped and the scans see little, the parts of the drive before and after are
 each right, and too far apart for the refinement: all scans after some time are moved together, as
-long as that gains.
+long as that gains. So are those of the path itself, where all SLAMs are torn.
 """
 
 from __future__ import annotations
@@ -217,6 +217,7 @@ def refine_borne_out(
         other, with_other = _settled(with_given, starts[name], told, is_far=True)
         if _gain(with_other, both).difference > FAR_GAIN:
             start, refined, both = name, other, with_other
+    refined, both = _joined(with_given, refined, both)
     by_odometry = _from_odometry(with_given, path)
     if by_odometry is not None:
         other, with_other = by_odometry
@@ -267,7 +268,15 @@ def _from_odometry(
     told = with_path(evidence, _REFINED, wheels).scores[_REFINED].consistency
     if told < score.consistency - NEAR:
         return None
-    refined, both = _settled(evidence, wheels, told)
+    refined, both = _joined(evidence, *_settled(evidence, wheels, told))
+    poses = laid_onto(refined.poses, path.poses)
+    return Trajectory(path.stamps_s, poses, path.name), both
+
+
+def _joined(
+    evidence: PathEvidence, refined: Trajectory, both: PathEvidence
+) -> tuple[Trajectory, PathEvidence]:
+    """Move the scans after some time together while that gains."""
     for _ in range(MOST_ROUNDS):
         told = both.scores[_REFINED].consistency
         moved, gain = moved_together(both, _REFINED, refined)
@@ -280,8 +289,7 @@ def _from_odometry(
         if find_contradiction(with_again, _REFINED) is not None:
             break
         refined, both = again, with_again
-    poses = laid_onto(refined.poses, path.poses)
-    return Trajectory(path.stamps_s, poses, path.name), both
+    return refined, both
 
 
 def _settled(

@@ -173,6 +173,7 @@ def drifted(path: Trajectory, share: float) -> Trajectory:
 WRONG: dict[str, Callable[[Trajectory], Trajectory]] = {
     "torn in two, 100 m apart": lambda path: moved_from(path, 0.5, (0.0, 100.0, 0.0)),
     "torn in two, 0.5 m apart": lambda path: moved_from(path, 0.5, (0.0, 0.5, 0.0)),
+    "torn in two, 3 m apart": lambda path: moved_from(path, 0.5, (0.0, 3.0, 0.0)),
     "last 7 % shifted by 2 m": lambda path: moved_from(path, 0.93, (0.0, 2.0, 0.0)),
     "turned by 10 degrees half-way": lambda path: moved_from(path, 0.5, (0, 0, math.radians(10))),
     "drifted by 5 %": lambda path: drifted(path, 0.05),

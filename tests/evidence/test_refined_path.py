@@ -235,3 +235,16 @@ def test_where_the_odometry_jumps_the_parts_of_the_drive_are_moved_together(
     assert (found.taken, found.start) == (True, "odometry")
     assert worst_m(given, truth) > 0.4
     assert worst_m(path, truth) < 0.02
+
+
+@pytest.mark.parametrize("motion", [(2.0, -1.0, 0.3), (-3.0, 0.5, -0.6)])
+def test_a_torn_path_is_joined(
+    device: ComputeDevice, scans: JudgedScans, motion: tuple[float, float, float]
+) -> None:
+    truth = circuit()
+    given = replace(moved(truth, motion, len(truth) // 2), name="fused")
+    alone = replace(scans, driven=None)
+    path, _, found = refine_borne_out(score_paths(alone, {"given": given}, device), given)
+    assert found.taken
+    assert worst_m(given, truth) > 0.7
+    assert worst_m(path, truth) < 0.02
