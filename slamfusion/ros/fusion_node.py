@@ -441,6 +441,8 @@ class FusionNode(NodeBase):
     def _publish(self, fused: FusedMap) -> None:
         message, before = self._message(fused, fused.grid), self.published
         self.published = message, fused.grid
+        if before is None:  # there is something to save now
+            self.diagnostics.clear("not saved")
         self._map_topic.publish(message)
         topic = self._updates_topic
         if before is not None and topic is not None and topic.get_subscription_count():

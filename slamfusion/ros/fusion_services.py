@@ -78,9 +78,9 @@ class FusionServices:
             try:
                 _tell(response, answer(request, response), is_done=True)
             except (SlamFusionError, OSError) as error:
-                text = f"not {'loaded' if answer == self._load_map else 'saved'}: {error}"
-                self._node.diagnostics.note("refused", text)
-                _tell(response, text, is_done=False)
+                refused = "not loaded" if answer == self._load_map else "not saved"
+                self._node.diagnostics.note(refused, f"{refused}: {error}")
+                _tell(response, f"{refused}: {error}", is_done=False)
             except Exception as error:  # noqa: BLE001  (a node must outlive a request)
                 if hasattr(response, "RESULT_UNDEFINED_FAILURE"):
                     response.result = response.RESULT_UNDEFINED_FAILURE
@@ -164,7 +164,7 @@ class FusionServices:
             write_tum(target.with_name(f"{target.name}.tum"), solution.path)
         where = str(written.resolve())
         node.log.info(f"the fused map is saved as {where!r}")
-        node.diagnostics.clear("refused")
+        node.diagnostics.clear("not saved")
         return where
 
     def _check_path(self, changes: Sequence[Any]) -> Any:

@@ -167,6 +167,7 @@ def test_before_two_agree_nothing_is_published_and_the_services_say_so(
     makers.send(three()["b"])
     observer.wait_status(FUSION, "2 of 3 inputs vote; not: c")
     observer.wait(lambda: maps, what="the fused map")
+    observer.wait(lambda: "not saved" not in observer.statuses()[FUSION].message, 3.0)
 
 
 def test_one_that_starts_ten_minutes_late_and_grows_by_its_origin(

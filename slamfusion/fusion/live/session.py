@@ -65,7 +65,9 @@ class FusionState:
 
     @property
     def nothing_fused(self) -> str:
-        """Why no input votes, one line."""
+        """Why there is no fused map or no vote, one line."""
+        if any(record.accepted for record in self.inputs.values()):
+            return "the first fused map is not published yet"
         problem = "no map yet" if self.update is None else self.update.problem
         if not problem:
             return "no input votes: the fused map is drawn from the scans alone"

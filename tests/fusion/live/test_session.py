@@ -180,6 +180,9 @@ def test_why_nothing_is_fused_is_said(device: ComputeDevice) -> None:
     assert state.update is not None
     state = replace(state, update=replace(state.update, problem=""))
     assert state.nothing_fused == "no input votes: the fused map is drawn from the scans alone"
+    desk.put(three()["b"])
+    session.turn()
+    assert session.snapshot.nothing_fused == "the first fused map is not published yet"
 
 
 def test_two_drawn_maps_are_fused_before_the_first_real_ones(
