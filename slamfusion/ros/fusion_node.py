@@ -385,7 +385,7 @@ class FusionNode(NodeBase):
     def on_time_jump(self, delta_s: float) -> None:
         """Forget odometry and poses of later times; the maps stay."""
         if delta_s < 0.0:
-            self._clocks.forget(self.clock_s() - delta_s)
+            self._clocks.forget()
             self.drive.scans.forget_after(self.clock_s())
             self._frames.on_time_jump()
 

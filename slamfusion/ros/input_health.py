@@ -17,7 +17,7 @@ from slamfusion.fusion.live.inputs import Reason
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid as Grid
 from slamfusion.ros import messages, qos
-from slamfusion.ros.base import Diagnostics, Level, NodeBase, type_name
+from slamfusion.ros.base import SHOWN_S, Diagnostics, Level, NodeBase, type_name
 
 MAP_SUFFIX = "/map"
 POSES = {type_name(kind): kind for kind in (PoseStamped, PoseWithCovarianceStamped)}
@@ -108,8 +108,8 @@ class Clocks:
         self._heard: dict[tuple[str, str], deque[tuple[float, float]]] = {}
         # Lead of each input's last stamp; each use is one atomic operation.
         self._ahead_s: dict[str, float] = {}
-        # The time before the last jump back: messages of then still come.
-        self.before_jump_s = 0.0
+        # Until this time after a jump back, messages of before it still come.
+        self._settled_s = 0.0
 
     def too_far_ahead_s(self, name: str, stamp_s: float) -> float | None:
         """Note a stamp of an input; return its lead if that is too large, else None."""
@@ -120,6 +120,11 @@ class Clocks:
         others = [other for key, other in list(self._ahead_s.items()) if key != name]
         is_wrong = bool(others) and ahead_s > AHEAD_S and ahead_s - min(others) > AHEAD_S
         return ahead_s if is_wrong else None
+
+    @property
+    def is_settled(self) -> bool:
+        """Whether no message of before the last jump back comes any more."""
+        return self._clock_s() >= self._settled_s
 
     def hear(self, name: str, kind: str, stamp_s: float) -> None:
         """Take the stamp of a new message; a smaller one of the same kind restarts."""
@@ -165,9 +170,9 @@ class Clocks:
         self._heard = {key: heard for key, heard in self._heard.items() if key[0] != name}
         self._diagnostics.clear(f"clock {name}")
 
-    def forget(self, before_s: float) -> None:
-        """Forget every stamp, after a jump back from a time, seconds."""
-        self.before_jump_s = before_s
+    def forget(self) -> None:
+        """Forget every stamp, after a jump back of the clock."""
+        self._settled_s = self._clock_s() + SHOWN_S
         self._heard.clear()
         self._ahead_s.clear()
 
@@ -432,7 +437,7 @@ class MapSource:
     def _is_ahead(self, what: str, stamp_s: float, outcome: str) -> bool:
         """Whether a stamp is far ahead of the clock and the other inputs; reports it."""
         ahead_s = self._clocks.too_far_ahead_s(self.name, stamp_s)
-        if ahead_s is None or stamp_s <= self._clocks.before_jump_s:
+        if ahead_s is None or not self._clocks.is_settled:
             return ahead_s is not None
         text = (
             f"the {what} of {self.name!r} is stamped {ahead_s:.0f} s ahead of the clock, and "

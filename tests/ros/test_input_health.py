@@ -123,7 +123,7 @@ def test_one_alone_and_time_that_is_not_known_tell_nothing() -> None:
     robots = Robots(a=0.0, b=500.0)
     robots.drive()
     assert "the clock of 'b' is 500.0 s ahead" in robots.told()
-    robots.clocks.forget(0.0)
+    robots.clocks.forget()
     assert robots.told() == "all is well", "time jumped back"
 
 
@@ -140,7 +140,7 @@ def test_a_stamp_is_ahead_of_the_clock_and_of_all_others_or_it_is_not():
     assert stamps.too_far_ahead_s("c", tomorrow_s) == pytest.approx(DAY_S)
     assert stamps.too_far_ahead_s("a", now_s + 1.0) is None
     # All say the same: it is the node's clock that is behind.
-    stamps.forget(0.0)
+    stamps.forget()
     assert [stamps.too_far_ahead_s(name, tomorrow_s) for name in "abcabc"] == [None] * 6
     # A clock that has not begun says nothing; a log lies behind it.
     for clock_s in (0.0, 1e9):
@@ -264,7 +264,8 @@ def test_a_source_follows_what_is_sent_beside_its_map(observer: Observer) -> Non
 
     context = observer.node.context
     base = NodeBase("reader", context=context)
-    clocks = Clocks(base.clock_s, base.diagnostics)
+    now_s = base.clock_s()
+    clocks = Clocks(lambda: now_s, base.diagnostics)
     heard: list[OccupancyGrid] = []
     source = MapSource(
         base, "a", "a/map", 3.0, clocks, lambda _, message: heard.append(message), print
@@ -305,14 +306,16 @@ def test_a_source_follows_what_is_sent_beside_its_map(observer: Observer) -> Non
     whole.publish(drawn())
     wait(lambda: len(heard) == 5)
     assert not taken().any()
-    # A map of before the clock jumped back has no wrong clock.
-    now_s, late = base.clock_s(), drawn()
-    clocks.forget(now_s + 1000.0)
+    # A map of before the clock jumped back has no wrong clock, one still ahead later has.
+    late = drawn()
+    clocks.forget()
     assert clocks.too_far_ahead_s("b", now_s) is None
     late.header.stamp = messages.to_stamp(now_s + 500.0)
-    source.read(late)
-    assert source.stamp_s < now_s
-    assert "ahead of the clock" not in base.diagnostics.worst()[1]
+    for is_named in (False, True):
+        source.read(late)
+        assert source.stamp_s < now_s
+        assert ("ahead of the clock" in base.diagnostics.worst()[1]) == is_named
+        now_s += 15.0
     source.close()
     wait(lambda: not parts.get_subscription_count())
     executor.shutdown()
