@@ -390,8 +390,10 @@ class FusedFrames:
             if stamp_s != known_s:  # else a revised pose, whose odometry may be forgotten by now
                 odometry = self._odometry.lookup(*frames, stamp_s)
         except TransformError as error:
-            text = f"no odometry for {settings.fused_frame} -> {frames[0]}: {error}"
-            diagnostics.say("odometry of poses", text)
+            text = f"no odometry for {settings.fused_frame} -> {frames[0]}"
+            # The scans' may be missing for the same reason.
+            why = "" if diagnostics.is_on("odometry") else f": {error}"
+            diagnostics.say("odometry of poses", text + why)
             return
         diagnostics.clear("odometry of poses")
         if self._resets != self._state.resets:
@@ -428,13 +430,13 @@ class FusedFrames:
             what = "set publish_tf to false in all but one"
         diagnostics.say("rival", f"{words}: {what}" if child else None, Level.ERROR)
         has_voters = any(record.accepted for record in self._state.inputs.values())
-        why = "the odometry does not tell where the robot is at the times of its poses"
+        why = ""  # missing odometry of a leader's poses has been named
         if fused == odom:
             why = "both are one frame; rename one of them"
         elif not self.leader:
             why = "no input that votes has the robot's pose (NAME/pose next to NAME/map)"
         text = f"publish_tf: {fused} -> {odom} was never sent: {why}"
-        is_unsent = settings.publish_tf and has_voters and self._driven_s is None
+        is_unsent = settings.publish_tf and has_voters and self._driven_s is None and why
         diagnostics.say("unsent", text if is_unsent else None, after_s=TF_LATE_S)
         text = (
             f"{fused} -> {odom} is not sent any more: the robot has driven {CARRIED_M:g} m or "

@@ -284,17 +284,8 @@ class ProducerNode(NodeBase):
         self.diagnostics.say("busy", text if is_slow else None, Level.ERROR)
         is_due = self.settings.publish_tf and not is_silent and not self._has_sent_transform
         self._has_sent_transform = False
-        settings = self.settings
-        wanted = {
-            "topic": "odometry at the scans' times; check its topic and its stamps",
-            "tf": f"transforms from {settings.base_frame!r} to {settings.odom_frame!r} at the "
-            "scans' times; check base_frame and odom_frame",
-            "none": "scans that are used; see what else is said",
-        }[settings.odometry_source]
-        text = (
-            f"publish_tf is on and {self._map_frame!r} -> {self._child_frame!r} cannot be sent: it "
-            f"needs {wanted}"
-        )
+        # Why is said of the scans, or of their odometry.
+        text = f"publish_tf is on and {self._map_frame!r} -> {self._child_frame!r} cannot be sent"
         words = text if is_due else None
         self.diagnostics.say("unsent", words, Level.ERROR, after_s=NEVER_SENT_S)
         rival = "" if self._transforms is None else self._transforms.rival()[1]
