@@ -61,10 +61,12 @@ class TransformStore:
 
     Attributes:
         last_s: ``time.monotonic`` of the last moving transform; None before the first.
+        is_awaited: whether a lookup waits for a transform now.
     """
 
     def __init__(self) -> None:
         self.last_s: float | None = None
+        self.is_awaited = False
         self._tree = TransformTree(KEEP_S)
         self._changed = threading.Condition()
 
@@ -103,7 +105,9 @@ class TransformStore:
                 except TransformError as error:
                     if not error.may_come:
                         break
+                self.is_awaited = True
                 self._changed.wait(left_s)
+                self.is_awaited = False
             return self._tree.mount(target, source, time_s)
 
     def forget_after(self, time_s: float) -> None:

@@ -121,9 +121,13 @@ class ProducerNode(NodeBase):
         lost = sum(map(bool, self._worker.put((queued, scan.message.header.stamp))))
         self._dropped += lost
         if lost:
+            why, advice = "too slow for the scans", "take a faster device or fewer scans"
+            if inputs.is_waiting:
+                why = "scans wait for their odometry or transform"
+                advice = "send it sooner, or raise scan_queue"
             text = (
-                f"too slow for the scans: the oldest of {self.settings.scan_queue} that wait is "
-                "dropped for each new one; take a faster device or fewer scans"
+                f"{why}: the oldest of {self.settings.scan_queue} that wait is dropped for each "
+                f"new one; {advice}"
             )
             self.diagnostics.note("slow", text)
 

@@ -72,7 +72,7 @@ class ScanInput:
         self.transforms: TransformStore | None = None
         self.odometry: TransformStore | None = None
         self.received = self.held = self.strays = self.jumps_back = 0
-        self.last_s = time.monotonic()
+        self.last_s = self._first_s = time.monotonic()
         self._base = base
         self._settings = settings
         self._on_scan, self._on_restart = on_scan, on_restart
@@ -91,6 +91,11 @@ class ScanInput:
         """Apply changed settings."""
         self._settings = settings
         self._gate.back_s = settings.reset_back_s
+
+    @property
+    def is_waiting(self) -> bool:
+        """Whether a scan that is read waits for odometry or a transform now."""
+        return any(store.is_awaited for store in self._stores)
 
     @property
     def _stores(self) -> set[TransformStore]:
@@ -203,13 +208,15 @@ class ScanInput:
     def _wait_s(self, scan: ArrivedScan, store: TransformStore) -> float:
         """Return how long a scan may still wait for a store."""
         now_s = time.monotonic()
-        if store.last_s is not None and now_s - store.last_s > ODOMETRY_ALIVE_S:
+        heard_s = self._first_s if store.last_s is None else store.last_s
+        if now_s - heard_s > ODOMETRY_ALIVE_S:
             return 0.0
         return max(0.0, scan.arrived_s + self._settings.odometry_wait_s - now_s)
 
     def _take_scan(self, message: Any) -> None:
-        self.received += 1
         self.last_s = time.monotonic()
+        self._first_s = self._first_s if self.received else self.last_s
+        self.received += 1
         scan = ArrivedScan(message, messages.stamp_s(message), self.last_s)
         before_s = self._gate.newest_s
         passed = self._gate.offer(scan.stamp_s, scan, scan.arrived_s, self._odometry_agrees)

@@ -432,13 +432,15 @@ def test_scans_of_a_turning_lidar_are_deskewed_and_counted(
 
 def test_scans_before_any_odometry_are_left_out_and_named(processes: Processes, observer: Observer):
     robot = Robot(observer, odometry=False)
-    processes.node("tinyslam", odometry_wait_s=0.1)
+    processes.node("tinyslam", odometry_wait_s=1.0, scan_queue=2)
     robot.wait_for()
     for item in scans(5):
         robot.send(item)
+    observer.wait_status("tinyslam: slam", "scans wait for their odometry or transform: the oldest")
     status = observer.wait_status("tinyslam: slam", "no odometry for the scans, which are left out")
     assert "set odometry_source to none" in status.message
-    wait_for_figures(observer, "tinyslam", "left out: laser before odometry", 5)
+    found = wait_for_figures(observer, "tinyslam", "left out: laser before odometry", 3)
+    assert found["scans dropped"] == "2"
 
 
 def test_a_transform_that_cannot_be_sent_is_named(processes: Processes, observer: Observer):
