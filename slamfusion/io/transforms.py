@@ -176,6 +176,8 @@ def _is_same(one: Row, other: Row) -> bool:
 KEEP_S = 10.0
 # A laser tilted by more does not see the plane.
 TILT_MAX_RAD = math.radians(60.0)
+# A larger tilt of a laser is reported.
+TILT_NOTED_RAD = math.radians(5.0)
 # A shorter quaternion is no rotation.
 SHORTEST = 1e-6
 
@@ -200,6 +202,13 @@ class Mount:
         (ahead_x, _, _, x), (ahead_y, _, _, y), (_, _, upward, _), _ = matrix.tolist()
         tilt_rad = math.acos(min(abs(upward), 1.0))
         return cls(Pose2(x, y, math.atan2(ahead_y, ahead_x)), upward < 0.0, tilt_rad)
+
+    def tilt_note(self, frame: str) -> str | None:
+        """Return a sentence on the tilt of a laser frame; None if it is small."""
+        if self.tilt_rad <= TILT_NOTED_RAD:
+            return None
+        how = f"tilted by {math.degrees(self.tilt_rad):.0f} degrees; its ranges are taken as level"
+        return f"the laser {frame!r} is {how}: if it sits level, correct its transform"
 
     def scan(
         self, message: Any, stamp_s: float, ranges: F32, limit_m: float = math.inf

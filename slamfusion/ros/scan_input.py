@@ -163,6 +163,7 @@ class ScanInput:
             self._base.diagnostics.say("laser", text, Level.ERROR)
             raise LeftOutError("no transform from the laser") from error
         self._base.diagnostics.clear("laser")
+        self._base.diagnostics.say("tilt", mount.tilt_note(frame))
         return mount
 
     def odometry_at(self, scan: ArrivedScan, times: F64, *, is_first: bool) -> F64 | None:

@@ -479,11 +479,14 @@ def test_a_laser_without_a_transform_is_named(processes: Processes, observer: Ob
     tilted = messages.transform_to_message(Pose2(), "base_link", "front_laser", Time())
     tilted.transform.rotation.y = 1.0
     topic = observer.publisher(TFMessage, "/tf_static", qos.TF_STATIC)
-    topic.publish(TFMessage(transforms=[tilted]))
-    observer.listen(0.5)
-    message.header.stamp.sec += 1
-    robot.scans.publish(message)
-    observer.wait_status("tinyslam: slam", "is tilted by 90 degrees", "; correct the transform, or")
+    for turn_y, words in ((1.0, "is tilted by 90 degrees"), (0.15, "is tilted by 17 degrees; its")):
+        tilted.transform.rotation.y = turn_y
+        topic.publish(TFMessage(transforms=[tilted]))
+        observer.listen(0.5)
+        message.header.stamp.sec += 1
+        robot.scans.publish(message)
+        status = observer.wait_status("tinyslam: slam", words)
+        assert ("; correct the transform, or" in status.message) == (turn_y == 1.0)
 
 
 def test_what_is_no_scan_is_left_out_and_the_node_goes_on(processes: Processes, observer: Observer):

@@ -20,9 +20,6 @@ from slamfusion.io.log import LogScan, ScanLog
 from slamfusion.io.transforms import TILT_MAX_RAD, Mount
 from slamfusion.scan import LaserScan
 
-# A larger tilt of the laser gives a note.
-_TILT_NOTED_RAD = math.radians(5.0)
-
 # Number of scans that decide whether there are stamps, and the unit of the ranges.
 FIRST_MESSAGES = 20
 # If nine of ten readings exceed ``range_max`` by this factor, the unit differs.
@@ -192,9 +189,6 @@ class BagLog(ScanLog):
             )
         if self._tree.is_constant(self._base_frame, frame):
             self._mounts[frame] = mount
-            if mount.tilt_rad > _TILT_NOTED_RAD:
-                self.notes.append(
-                    f"the laser {frame!r} is tilted by {math.degrees(mount.tilt_rad):.0f} degrees; "
-                    "its ranges are taken as level"
-                )
+            if (note := mount.tilt_note(frame)) is not None:
+                self.notes.append(note)
         return mount
