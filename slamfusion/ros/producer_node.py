@@ -82,7 +82,7 @@ class ProducerNode(NodeBase):
             partial(self.open_device, device.device),
             wants_odometry=self.settings.odometry_source in {"tf", "topic"},
         )
-        self._dropped = self._late = 0  # only in the executor's thread
+        self._dropped = 0  # only in the executor's thread
         name = self.name
         self._map_topic = node.create_publisher(OccupancyGrid, f"{name}/map", qos.MAP)
         self._metadata_topic = node.create_publisher(MapMetaData, f"{name}/map_metadata", qos.MAP)
@@ -221,8 +221,8 @@ class ProducerNode(NodeBase):
     def statuses(self) -> list[Status]:
         """Return one line with the state of the SLAM and its figures."""
         self._name_silence()
-        self._inputs.name_odometry()
         snapshot = self._session.snapshot
+        self._inputs.name_strays(snapshot.left_out.get(NOT_NEWER, 0))
         text = "; ".join(snapshot.contradictions)
         self.diagnostics.say("odometry against path", text or None)
         level, message = self.diagnostics.worst("mapping" if snapshot.fed else "waiting for scans")
@@ -275,14 +275,7 @@ class ProducerNode(NodeBase):
         is_silent = now_s - self._inputs.last_s > self.settings.scans_stale_s
         self.diagnostics.say("scans", text if is_silent else None, Level.STALE)
         snapshot = self._session.snapshot
-        busy_s, late = snapshot.busy_since_s, snapshot.left_out.get(NOT_NEWER, 0)
-        text = (
-            f"scans are left out, {late} so far: their stamps do not increase; check the clock of "
-            f"the laser, and that no other one sends on {self.resolved(SCAN_TOPIC)!r}"
-        )
-        if late > self._late:
-            self.diagnostics.note("late", text)
-        self._late = late
+        busy_s = snapshot.busy_since_s
         is_slow = busy_s is not None and now_s - busy_s > SLOW_SCAN_S
         text = "a scan has been worked on for over 5 s"
         self.diagnostics.say("busy", text if is_slow else None, Level.ERROR)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+import operator
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -12,7 +14,7 @@ from nav_msgs.msg import Odometry
 from sensor_msgs.msg import LaserScan
 
 from slamfusion.config import ScanNodeConfig
-from slamfusion.errors import ScanError, TrajectoryError
+from slamfusion.errors import ScanError, TrajectoryError, counted
 from slamfusion.geometry import F64, Pose2, row_of
 from slamfusion.io.log import FARTHEST_M
 from slamfusion.io.stamps import Passed, StampGate
@@ -77,7 +79,9 @@ class ScanInput:
         self._settings = settings
         self._on_scan, self._on_restart = on_scan, on_restart
         self._gate: StampGate[ArrivedScan] = StampGate(settings.reset_back_s, _is_same)
-        self._strays_named = 0
+        # What was left out for its stamps when that was reported last, and the last stray scan.
+        self._named = (0, 0, 0)
+        self._last_stray = ""
         if "tf" in {settings.odometry_source, settings.laser_source}:
             self.transforms = TransformInput(base.node)
         if settings.odometry_source == "tf":
@@ -118,16 +122,17 @@ class ScanInput:
         if problem:
             self._base.diagnostics.note("odometry values", f"odometry left out: {problem}")
             return
-        named = {
-            "odom_frame": (message.header.frame_id, odom),
-            "base_frame": (message.child_frame_id, base),
-        }
-        for name, (frame, wanted) in named.items():
-            if frame.lstrip("/") not in {"", wanted}:
-                text = (
-                    f"odometry names {frame!r}, which is taken for {name}, {wanted!r}; correct one"
-                )
-                self._base.diagnostics.note(f"odometry {name}", text)
+        named = [
+            f"{frame!r}, which is taken for {name}, {wanted!r}"
+            for name, frame, wanted in (
+                ("odom_frame", message.header.frame_id, odom),
+                ("base_frame", message.child_frame_id, base),
+            )
+            if frame.lstrip("/") not in {"", wanted}
+        ]
+        if named:
+            text = f"odometry names {', and '.join(named)}; correct one"
+            self._base.diagnostics.note("odometry frames", text)
         assert self.odometry is not None  # noqa: S101  (made before the subscription)
         self.odometry.add([messages.transform_to_message(pose, odom, base, message.header.stamp)])
 
@@ -223,7 +228,12 @@ class ScanInput:
         passed = self._gate.offer(scan.stamp_s, scan, scan.arrived_s, self._odometry_agrees)
         self.held = self._gate.held
         if before_s is not None:
-            self._name_strays(passed.strays, before_s)
+            if passed.strays:
+                self.strays += len(passed.strays)
+                stamp_s = passed.strays[-1].stamp_s
+                how = "older than" if stamp_s < before_s else "ahead of"
+                off = f"{abs(stamp_s - before_s):.3f} s {how} those around it"
+                self._last_stray = f"the last has {stamp_s:.3f} s, {off}"
             if passed.items:
                 self._name_jump(passed, before_s)
         if passed.jump is not None:
@@ -234,16 +244,25 @@ class ScanInput:
         for item in passed.items:
             self._on_scan(item)
 
-    def name_odometry(self) -> None:
-        """Report odometry left out for its stamps since the last call."""
-        strays = 0 if self.odometry is None else self.odometry.strays
-        if strays > self._strays_named:
-            text = (
-                "odometry (or another transform) is left out: its stamp is far from those before "
-                "and after it; check the clock of its sender"
-            )
-            self._base.diagnostics.note("stray odometry", text)
-        self._strays_named = strays
+    def name_strays(self, late: int = 0) -> None:
+        """Report what was left out for its stamps, if more was since the last call.
+
+        ``late``: scans so far whose stamps did not increase.
+        """
+        odometry = 0 if self.odometry is None else self.odometry.strays
+        found = self.strays, late, odometry
+        parts = (
+            f"{counted(self.strays, 'scan')} far from the others ({self._last_stray})",
+            f"{counted(late, 'scan')} not newer than the one before",
+            f"{counted(odometry, 'transform')} of odometry or others far from the rest",
+        )
+        text = (
+            f"left out for their stamps: {', '.join(itertools.compress(parts, found))}; check the "
+            f"clocks of the senders, and that one alone sends {self._base.resolved(SCAN_TOPIC)!r}"
+        )
+        if any(map(operator.gt, found, self._named)):
+            self._base.diagnostics.note("strays", text)
+        self._named = found
 
     def _odometry_agrees(self, before_s: float, after_s: float) -> bool:
         """Whether the odometry has jumped with the scans, or is unknown."""
@@ -260,19 +279,6 @@ class ScanInput:
         )
         self._base.diagnostics.say("clocks", text, Level.ERROR)
         return False
-
-    def _name_strays(self, strays: tuple[ArrivedScan, ...], before_s: float) -> None:
-        if not strays:
-            return
-        self.strays += len(strays)
-        stamp_s = strays[-1].stamp_s
-        how = "older than" if stamp_s < before_s else "ahead of"
-        text = (
-            f"a scan is left out: its stamp {stamp_s:.3f} s is {abs(stamp_s - before_s):.3f} s "
-            f"{how} the last one's, and those after it are not ({self.strays} so far); check the "
-            "clock of the laser"
-        )
-        self._base.diagnostics.note("stray scan", text)
 
     def _name_jump(self, passed: Passed[ArrivedScan], before_s: float) -> None:
         diagnostics = self._base.diagnostics
