@@ -365,8 +365,7 @@ class FusionNode(NodeBase):
         sources = self.inputs.sources
         for source in sources.values():
             source.look()
-        topics = {name: source.topic for name, source in sources.items()}
-        self.rival = name_writers(self, topics, MAP_TOPIC)
+        self.rival = name_writers(self, sources, MAP_TOPIC)
         self._clocks.look(sources)
         self.drive.look(sources)
         self._wake()

@@ -50,9 +50,11 @@ class Liveliness:
         is_back: the living writer is the one that had fallen silent. Stays until all are silent
             again: under load a lease may expire and be renewed more than once between two looks.
         silent_since_s: None while a writer lives.
+        alive: number of writers that renew their lease, or fewer.
     """
 
     def __init__(self) -> None:
+        self.alive = 0
         self.is_back = False
         self.silent_since_s: float | None = None
         self._lives = False
@@ -67,6 +69,7 @@ class Liveliness:
             alive, alive_change: writers that renew their lease (or fewer), and their change.
             not_alive_change: change of the number that do not.
         """
+        self.alive = alive
         had, self._lives = self._lives, alive > 0 or alive_change > 0
         if self._lives:
             self.silent_since_s = None
@@ -177,10 +180,10 @@ class Clocks:
         self._ahead_s.clear()
 
 
-def name_writers(base: NodeBase, topics: Mapping[str, str], output: str) -> str:
-    """Report topics with several writers; return another node that writes the output, or empty."""
-    for name, topic in topics.items():
-        nodes = _writers(base, topic)
+def name_writers(base: NodeBase, sources: Mapping[str, MapSource], output: str) -> str:
+    """Report inputs with several writers; return another node that writes the output, or empty."""
+    for name, source in sources.items():
+        topic, nodes = source.topic, _writers(base, source.topic)
         single = sorted(set(nodes))
         nodes = nodes if len(single) == 1 else single
         text = (
@@ -189,7 +192,8 @@ def name_writers(base: NodeBase, topics: Mapping[str, str], output: str) -> str:
             "or give each a topic of its own in inputs"
         )
         # DDS knows a killed process for another 20 s, next to its successor.
-        after_s = DEAD_KNOWN_S if len(single) == 1 else 0.0
+        is_sure = len(single) > 1 or source.liveliness.alive > 1
+        after_s = 0.0 if is_sure else DEAD_KNOWN_S
         is_shared = len(nodes) > 1
         base.diagnostics.say(f"writers {name}", text if is_shared else None, after_s=after_s)
     own = base.node.get_fully_qualified_name()

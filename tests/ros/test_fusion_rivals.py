@@ -128,3 +128,13 @@ def test_rivals_are_named_with_what_to_do(domain: int, processes: Processes, obs
         observer.wait_status(FUSION, words)
     for words in ("publishes '/fused/map'", "nodes publish"):
         observer.wait(lambda words=words: words not in observer.statuses()[FUSION].message)
+
+
+def test_two_slams_of_one_name_are_named_while_both_live(processes: Processes, observer: Observer):
+    start_fusion(processes, inputs=["tinyslam/map"])
+    for _ in range(2):
+        processes.node("tinyslam")
+    # Sooner than a killed one is forgotten.
+    words = "2 nodes publish '/tinyslam/map', '/tinyslam' and '/tinyslam', and their maps take"
+    observer.wait_status(FUSION, words, timeout_s=30.0)
+    observer.wait_status("tinyslam: slam", "2 nodes are called '/tinyslam'")
