@@ -508,6 +508,7 @@ class FusionNode(NodeBase):
             "full searches": snapshot.searches,
             "resets": snapshot.resets,
             "scans": None if solution is None else len(solution.path),
+            "scans dropped": self.drive.scans.dropped,
             FINAL: None if self._final_s is None else f"{self._final_s:.3f}",
             "map [cells]": None if grid is None else f"{grid.width} x {grid.height}",
             "latency median [ms]": snapshot.median_ms,

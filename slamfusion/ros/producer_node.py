@@ -82,7 +82,6 @@ class ProducerNode(NodeBase):
             partial(self.open_device, device.device),
             wants_odometry=self.settings.odometry_source in {"tf", "topic"},
         )
-        self._dropped = 0  # only in the executor's thread
         name = self.name
         self._map_topic = node.create_publisher(OccupancyGrid, f"{name}/map", qos.MAP)
         self._metadata_topic = node.create_publisher(MapMetaData, f"{name}/map_metadata", qos.MAP)
@@ -108,8 +107,8 @@ class ProducerNode(NodeBase):
 
     # --- callbacks, in the executor's thread -------------------------------------------------
 
-    def _queue(self, scan: ArrivedScan) -> None:
-        """Queue a scan for the worker, which converts it; the oldest is dropped if full."""
+    def _queue(self, scan: ArrivedScan) -> list[object]:
+        """Queue a scan for the worker, which converts it; return what is dropped: the oldest."""
         session, inputs = self._session, self._inputs
         queued = QueuedScan(
             scan.stamp_s,
@@ -118,22 +117,12 @@ class ProducerNode(NodeBase):
             lambda: inputs.read(scan),
             lambda times: inputs.odometry_at(scan, times, is_first=session.is_before_odometry),
         )
-        lost = sum(map(bool, self._worker.put((queued, scan.message.header.stamp))))
-        self._dropped += lost
-        if lost:
-            why, advice = "too slow for the scans", "take a faster device or fewer scans"
-            if inputs.is_waiting:
-                why = "scans wait for their odometry or transform"
-                advice = "send it sooner, or raise scan_queue"
-            text = (
-                f"{why}: the oldest of {self.settings.scan_queue} that wait is dropped for each "
-                f"new one; {advice}"
-            )
-            self.diagnostics.note("slow", text)
+        dropped = self._worker.put((queued, scan.message.header.stamp))
+        return [item for item in dropped if item is not None]
 
     def _begin_new_map(self) -> None:
         self._session.begin_new_map()
-        self._dropped += sum(map(bool, self._worker.clear()))
+        self._inputs.dropped += sum(map(bool, self._worker.clear()))
 
     def _on_settings(self, settings: ProducerNodeConfig) -> None:
         self.settings = settings
@@ -258,7 +247,7 @@ class ProducerNode(NodeBase):
             **{f"left out: {key}": count for key, count in left_out.items()},
             **{f"not used: {key}": count for key, count in health.skips.counts.items()},
             "scans received": scans.received,
-            "scans dropped": self._dropped,
+            "scans dropped": scans.dropped,
             "scans waiting": self._worker.waiting,
             "last scan [s ago]": now_s - scans.last_s if scans.received else None,
             "device": self._session.device.name,

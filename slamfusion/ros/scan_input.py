@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import operator
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from typing import Any
 
@@ -54,7 +54,7 @@ class ScanInput:
     (``StampGate``).
 
     Args:
-        on_scan: called with each accepted scan.
+        on_scan: called with each accepted scan; queues it, and returns what is dropped for it.
         on_restart: called before the first scan after a jump back.
 
     Attributes:
@@ -62,18 +62,19 @@ class ScanInput:
         transforms: from ``/tf``; None if unused.
         odometry: its store; None without odometry.
         held, strays: scans held back for their stamps now, and those left out.
+        dropped: scans dropped from the queue, which was full.
     """
 
     def __init__(
         self,
         base: NodeBase,
         settings: ScanNodeConfig,
-        on_scan: Callable[[ArrivedScan], object],
+        on_scan: Callable[[ArrivedScan], Collection[object]],
         on_restart: Callable[[], None],
     ) -> None:
         self.transforms: TransformStore | None = None
         self.odometry: TransformStore | None = None
-        self.received = self.held = self.strays = self.jumps_back = 0
+        self.received = self.held = self.strays = self.jumps_back = self.dropped = 0
         self.last_s = self._first_s = time.monotonic()
         self._base = base
         self._settings = settings
@@ -95,11 +96,6 @@ class ScanInput:
         """Apply changed settings."""
         self._settings = settings
         self._gate.back_s = settings.reset_back_s
-
-    @property
-    def is_waiting(self) -> bool:
-        """Whether a scan that is read waits for odometry or a transform now."""
-        return any(store.is_awaited for store in self._stores)
 
     @property
     def _stores(self) -> set[TransformStore]:
@@ -242,7 +238,9 @@ class ScanInput:
             if passed.jump.is_back:
                 self._on_restart()
         for item in passed.items:
-            self._on_scan(item)
+            if dropped := self._on_scan(item):
+                self.dropped += len(dropped)
+                self._name_dropped()
 
     def name_strays(self, late: int = 0) -> None:
         """Report what was left out for its stamps, if more was since the last call.
@@ -263,6 +261,14 @@ class ScanInput:
         if any(map(operator.gt, found, self._named)):
             self._base.diagnostics.note("strays", text)
         self._named = found
+
+    def _name_dropped(self) -> None:
+        why, advice = "too slow for the scans", "take a faster device or fewer scans"
+        if any(store.is_awaited for store in self._stores):
+            why = "scans wait for their odometry or transform"
+            advice = "send it sooner"
+        text = f"{why}: the oldest that waits is dropped for each new one; {advice}"
+        self._base.diagnostics.note("slow", text)
 
     def _odometry_agrees(self, before_s: float, after_s: float) -> bool:
         """Whether the odometry has jumped with the scans, or is unknown."""

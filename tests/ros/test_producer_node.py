@@ -263,7 +263,7 @@ def test_too_many_scans_are_dropped_oldest_first_and_counted(
     assert dropped > 0
     assert dropped + fed == COUNT
     assert fed == len(poses)
-    assert observer.wait_status("gmapping: slam", "too slow for the scans: the oldest of 3")
+    assert observer.wait_status("gmapping: slam", "too slow for the scans: the oldest that waits")
 
 
 def moved_by(item: LogScan, offset_s: float) -> LogScan:
@@ -432,14 +432,16 @@ def test_scans_of_a_turning_lidar_are_deskewed_and_counted(
 def test_scans_before_any_odometry_are_left_out_and_named(processes: Processes, observer: Observer):
     robot = Robot(observer, odometry=False)
     processes.node("tinyslam", odometry_wait_s=1.0, scan_queue=2)
-    robot.wait_for()
-    for item in scans(5):
+    processes.node("fusion", inputs=["tinyslam/map"], odometry_wait_s=1.0)
+    robot.wait_for(listeners=2)
+    for item in scans(25):
         robot.send(item)
-    observer.wait_status("tinyslam: slam", "scans wait for their odometry or transform: the oldest")
+    for name in ("tinyslam: slam", "fusion: fusion"):
+        observer.wait_status(name, "scans wait for their odometry or transform: the oldest")
     status = observer.wait_status("tinyslam: slam", "no odometry for the scans, which are left out")
     assert "set odometry_source to none" in status.message
     found = wait_for_figures(observer, "tinyslam", "left out: laser before odometry", 3)
-    assert found["scans dropped"] == "2"
+    assert found["scans dropped"] == "22"
 
 
 def test_a_transform_that_cannot_be_sent_is_named(processes: Processes, observer: Observer):
