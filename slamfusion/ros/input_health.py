@@ -316,6 +316,7 @@ class MapSource:
     def close(self) -> None:
         """End all subscriptions."""
         self._base.diagnostics.clear(f"pose type {self.name}")
+        self._base.diagnostics.clear(f"pose frame {self.name}")
         for what in [*self._subscriptions]:
             self._close(what)
 
@@ -421,6 +422,13 @@ class MapSource:
             text = f"a pose of {self.name!r} is left out: {error}"
             self._base.diagnostics.note(f"pose {self.name}", text)
             return
+        frame = message.header.frame_id.lstrip("/")
+        text = (
+            f"the pose of {self.name!r} is in frame {frame!r} and its map in {self.frame!r}: it is "
+            "taken as one in the map's; publish it in that frame"
+        )
+        is_other = frame and self.frame and frame != self.frame
+        self._base.diagnostics.say(f"pose frame {self.name}", text if is_other else None)
         stamp_s = messages.stamp_s(message)
         self._clocks.hear(self.name, "pose", stamp_s)
         if not self._is_ahead("pose", stamp_s, "it is left out"):

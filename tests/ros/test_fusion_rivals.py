@@ -115,7 +115,11 @@ def test_rivals_are_named_with_what_to_do(domain: int, processes: Processes, obs
         robot.at(0.1 * next(stamps), Pose2(1.0, 1.0, 0.1), transforms)
         observer.listen(0.1)
         message = observer.statuses()[FUSION].message
-        words = "another node sends the transform to", "the other fusion is '/second'; end one"
+        words = (
+            "the pose of 'a' is in frame 'a_map' and its map in 'map': it is taken as one in",
+            "another node sends the transform to",
+            "the other fusion is '/second'; end one",
+        )
         return all(word in message for word in words) and "was never sent" not in message
 
     observer.wait(is_said, what="the word of the other fusion, and that ours sends")
