@@ -49,6 +49,8 @@ DIAGNOSTICS_PERIOD_S = 1.0
 FINAL = "final at [s]"
 # A larger forward jump of the clock is reported; nothing restarts.
 FORWARD_JUMP_S = 10.0
+# Simulated time that does not come for this long is reported, seconds.
+CLOCK_LATE_S = 3.0
 # The executor checks for a signal at this interval.
 SPIN_S = 0.1
 # Freed memory is returned to the system at this interval, seconds; taking it again costs time.
@@ -416,6 +418,9 @@ class NodeBase:
             "is known for half a minute)"
         )
         self.diagnostics.say("namesake", text if count > 1 else None)
+        text = "use_sim_time is on and no time comes on '/clock'; start its sender, or turn it off"
+        is_timeless = self.clock_s() <= 0.0
+        self.diagnostics.say("no clock", text if is_timeless else None, after_s=CLOCK_LATE_S)
         for topic, profile in list(self._mismatched.items()):
             infos = self.node.get_publishers_info_by_topic(topic)
             found = [qos_check_compatible(info.qos_profile, profile)[0] for info in infos]

@@ -116,7 +116,7 @@ class Spun:
 
 @pytest.fixture
 def spun(domain: int) -> Iterator[Spun]:
-    node = Spun(domain, "--ros-args", "-p", "use_sim_time:=true")
+    node = Spun(domain)
     yield node
     node.close()
 
@@ -148,7 +148,10 @@ def test_a_callback_that_raises_is_named_and_the_node_goes_on(spun: Spun, observ
     assert values(status) == {"words": "2", "share": "0.5"}
 
 
-def test_jumps_of_simulated_time_are_told(spun: Spun, observer: Observer):
+def test_simulated_time_that_is_missing_or_jumps_is_told(domain: int, observer: Observer):
+    spun = Spun(domain, "--ros-args", "-p", "use_sim_time:=true")
+    missing = "use_sim_time is on and no time comes on '/clock'"
+    wait(observer, spun, lambda: missing in spun.base.diagnostics.worst()[1], "the missing time")
     clock = observer.publisher(Clock, "/clock")
     wait(observer, spun, clock.get_subscription_count, "the listener")
     base = spun.base
@@ -161,7 +164,9 @@ def test_jumps_of_simulated_time_are_told(spun: Spun, observer: Observer):
 
         wait(observer, spun, is_there, f"the time {time_s}")
     assert base.jumps_s == pytest.approx([100.0, -595.3])
+    base.publish_diagnostics()
     assert base.diagnostics.worst() == (Level.WARN, "time jumped back by 595.300 s to 5.000 s")
+    spun.close()
 
 
 def test_a_writer_that_offers_too_little_is_named(spun: Spun, observer: Observer):
