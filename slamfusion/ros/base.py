@@ -47,6 +47,7 @@ DIAGNOSTICS_TOPIC = "/diagnostics"
 DIAGNOSTICS_PERIOD_S = 1.0
 # Diagnostics key of a fusion: stamp of the last scan, once its map equals that of ``run``.
 FINAL = "final at [s]"
+UNKNOWN = "_NODE_NAME_UNKNOWN_"
 # A larger forward jump of the clock is reported; nothing restarts.
 FORWARD_JUMP_S = 10.0
 # Simulated time that does not come for this long is reported, seconds.
@@ -322,6 +323,15 @@ class NodeBase:
                     f"it as {type_name(other.msg_type)}; name another topic"
                 )
                 raise ConfigError(message)
+
+    def writers(self, topic: str) -> list[str]:
+        """Return the full names of the nodes that publish a topic, one for each publisher."""
+        infos = self.node.get_publishers_info_by_topic(topic)
+        return sorted(
+            f"{info.node_namespace.rstrip('/')}/{info.node_name}"
+            for info in infos
+            if info.node_name != UNKNOWN
+        )
 
     def senders(self, topic: str, kind: Any) -> str:
         """Return in words who could publish a silent topic."""

@@ -79,7 +79,7 @@ class DriveInput:
 
     def look(self, sources: Mapping[str, MapSource]) -> None:
         """Subscribe to the inputs' paths once scans arrive; start the solver."""
-        self.scans.name_strays()
+        self.scans.look()
         self._solver.put(None)
         for name, source in sources.items() if self._count else ():
             source.hear_path(partial(self._on_path, name))

@@ -40,7 +40,6 @@ UPPER = 0.25
 
 # Two writers of one name are not a dead one and its successor after this long, seconds.
 DEAD_KNOWN_S = 45.0
-UNKNOWN = "_NODE_NAME_UNKNOWN_"
 
 
 class Liveliness:
@@ -183,7 +182,7 @@ class Clocks:
 def name_writers(base: NodeBase, sources: Mapping[str, MapSource], output: str) -> str:
     """Report inputs with several writers; return another node that writes the output, or empty."""
     for name, source in sources.items():
-        topic, nodes = source.topic, _writers(base, source.topic)
+        topic, nodes = source.topic, base.writers(source.topic)
         single = sorted(set(nodes))
         nodes = nodes if len(single) == 1 else single
         text = (
@@ -197,22 +196,13 @@ def name_writers(base: NodeBase, sources: Mapping[str, MapSource], output: str) 
         is_shared = len(nodes) > 1
         base.diagnostics.say(f"writers {name}", text if is_shared else None, after_s=after_s)
     own = base.node.get_fully_qualified_name()
-    rival = next((node for node in _writers(base, output) if node != own), "")
+    rival = next((node for node in base.writers(output) if node != own), "")
     text = (
         f"another node, {rival!r}, publishes {base.resolved(output)!r} too: end one of the two, or "
         "start it in a namespace of its own (-r __ns:=/NAME)"
     )
     base.diagnostics.say("other fusion", text if rival else None, Level.ERROR)
     return rival
-
-
-def _writers(base: NodeBase, topic: str) -> list[str]:
-    infos = base.node.get_publishers_info_by_topic(topic)
-    return sorted(
-        f"{info.node_namespace.rstrip('/')}/{info.node_name}"
-        for info in infos
-        if info.node_name != UNKNOWN
-    )
 
 
 @dataclass(frozen=True)

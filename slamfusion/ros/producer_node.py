@@ -211,7 +211,7 @@ class ProducerNode(NodeBase):
         """Return one line with the state of the SLAM and its figures."""
         self._name_silence()
         snapshot = self._session.snapshot
-        self._inputs.name_strays(snapshot.left_out.get(NOT_NEWER, 0))
+        self._inputs.look(snapshot.left_out.get(NOT_NEWER, 0))
         text = "; ".join(snapshot.contradictions)
         self.diagnostics.say("odometry against path", text or None)
         level, message = self.diagnostics.worst("mapping" if snapshot.fed else "waiting for scans")

@@ -297,7 +297,7 @@ def test_time_that_jumps_back_begins_a_new_map(processes: Processes, observer: O
     assert values(status)["maps restarted"] == "1"
 
 
-def test_one_stray_stamp_takes_no_map_away(processes: Processes, observer: Observer):
+def test_one_stray_stamp_takes_no_map_away(domain: int, processes: Processes, observer: Observer):
     maps = observer.collect(OccupancyGrid, "tinyslam/map", qos.MAP)
     robot, poses = started(processes, observer, map_update_interval_s=0.2)
     driven = scans(COUNT)
@@ -318,6 +318,11 @@ def test_one_stray_stamp_takes_no_map_away(processes: Processes, observer: Obser
         "2 scans not newer than the one before, 1 transform of odometry or others far from the",
     )
     assert status.message.count("check the clocks") == 1
+    with Observer(domain, "stranger") as other:
+        Robot(other)
+        for topic in ("scan", "odom"):
+            words = f"2 nodes publish '/{topic}', '/observer' and '/stranger', and their messages"
+            observer.wait_status("tinyslam: slam", words)
     found = values(status)
     assert found["maps restarted"] == "0"
     assert found["left out: a stamp far from those before and after it"] == "3"
