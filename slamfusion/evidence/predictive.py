@@ -37,6 +37,7 @@ from slamfusion.geometry import (
     U32,
     Pose2,
     compose_poses,
+    corners,
     invert_poses,
     pose_of,
     transform_points,
@@ -350,10 +351,12 @@ class DrawnChunks:
         laid = compose_poses(lattice, compose_poses(invert_poses(first), poses))
         places = transform_points(laid, scans.hits[kept], hit_scans)
         lasers = transform_points(laid, scans.lasers)[hit_scans]
-        cells = np.concatenate((places, lasers), axis=1) / CELL_M
-        page = np.floor(cells / TILE)
-        low = page.reshape(-1, 2).min(axis=0) - 1
-        width, height = (page.reshape(-1, 2).max(axis=0) + 2 - low).astype(np.int64)
+        cells = np.concatenate((places, lasers), axis=1)
+        del places, lasers  # of all hits, as the next ones: some MB each
+        cells /= CELL_M
+        least, most = (np.floor(corner / TILE) for corner in corners(cells.reshape(-1, 2)))
+        low = least - 1
+        width, height = (most + 2 - low).astype(np.int64)
         if width * height > MOST_PAGES:
             side_m = TILE * CELL_M
             raise TrajectoryError(
@@ -362,7 +365,9 @@ class DrawnChunks:
                 "of its poses"
             )
         cells -= np.tile(low * TILE, 2)
-        beams = np.asarray(np.floor(cells * BEAM_ONE), dtype=np.int32)
+        cells *= BEAM_ONE
+        beams = np.floor(cells, out=cells).astype(np.int32)
+        del cells
         col, row = (beams[:, :2] // BEAM_ONE).T
         used = np.zeros((height, width), dtype=np.bool_)
         for dx in (-reach_cells, reach_cells):

@@ -48,7 +48,7 @@ from slamfusion.evidence.known_motions import KnownMotions, MotionEquations
 from slamfusion.evidence.patches import LATTICES, Patches, SurfaceHits, line_inverses, line_sums
 from slamfusion.evidence.path_frames import laid_onto
 from slamfusion.evidence.predictive import SURE, Comparison, PathEvidence, compare_sums, with_path
-from slamfusion.geometry import F64, wrap_angles
+from slamfusion.geometry import F64, I64, wrap_angles
 from slamfusion.json_values import FLAT
 from slamfusion.trajectory import Trajectory
 
@@ -104,13 +104,7 @@ def _step(
             products = weighted[:, a] * patches.slopes[:, b]
             diagonal[:, a, b] += np.bincount(hits.scans, products, count)
     banded, border = _banded(diagonal, equations.beside), equations.border
-    rows = np.repeat(3 * hits.scans[:, None] + np.arange(3), 2, axis=1)
-    columns = np.tile(2 * patches.of[:, None] + np.arange(2), 3)
-    by_line = np.stack((np.ones(len(patches.of)), patches.sides_m), axis=1)
-    values = np.repeat(weighted, 2, axis=1) * np.tile(by_line, 3)
-    to_lines = scipy.sparse.csr_matrix(
-        (values.ravel(), (rows.ravel(), columns.ravel())), shape=(3 * count, 2 * len(patches.keys))
-    )
+    to_lines = _to_lines(hits.scans, patches, weighted, count)
     from_lines = to_lines.T.tocsr()
     inverses = line_inverses(patches.of, len(patches.keys), patches.sides_m, patches.weights)
 
@@ -148,6 +142,17 @@ def _step(
         M=scipy.sparse.linalg.LinearOperator(size, matvec=precondition, dtype=np.float64),
     )
     return np.asarray(step[:-2].reshape(count, 3)), np.asarray(step[-2:])
+
+
+def _to_lines(scans: I64, patches: Patches, weighted: F64, count: int) -> scipy.sparse.csr_matrix:
+    """Return the matrix of the lines of patches, two columns each, and of ``count`` poses."""
+    rows = np.repeat(3 * scans[:, None] + np.arange(3), 2, axis=1).astype(np.int32)
+    columns = np.tile(2 * patches.of[:, None] + np.arange(2), 3).astype(np.int32)
+    values = np.repeat(weighted, 2, axis=1)
+    values[:, 1::2] *= patches.sides_m[:, None]
+    return scipy.sparse.csr_matrix(
+        (values.ravel(), (rows.ravel(), columns.ravel())), shape=(3 * count, 2 * len(patches.keys))
+    )
 
 
 def _banded(diagonal: F64, beside: F64) -> scipy.sparse.csc_matrix:
