@@ -28,6 +28,7 @@ from typing import NamedTuple
 import numpy as np
 import scipy
 
+from slamfusion.align.align import align_pair
 from slamfusion.align.features import GridFeatures
 from slamfusion.align.normalize import normalize_grid
 from slamfusion.align.pair import Pair
@@ -54,6 +55,8 @@ from slamfusion.trajectory import Trajectory
 # people and moved furniture make up to a quarter. If more than the second share were free space
 # before, the robot is elsewhere.
 DOUBTED, CONTRADICTED = 0.25, 0.5
+# Share of the hits seen at another time below which nothing confirms the path.
+LITTLE_SEEN = 0.25
 # The fewest hits for a contradiction.
 LEAST_ASKED = 200
 
@@ -151,6 +154,28 @@ def find_displacements(evidence: PathEvidence, name: str) -> tuple[Displacement,
     return tuple(displaced)
 
 
+def find_place_seen_before(evidence: PathEvidence, name: str) -> Displacement | None:
+    """Return from when on a path draws a place elsewhere that it has drawn before, else None.
+
+    A robot that was carried away sees little where others saw something. So only then the maps of
+    both times are aligned, and the answer counts if it stands up to its rivals.
+    """
+    scans, drawn = evidence.scans, _drawn(evidence, name)
+    since_s = scans.stamps_s - scans.stamps_s[0]
+    for split in SPLITS:
+        late = np.flatnonzero(drawn.chunks >= split * CHUNKS)
+        _, is_seen = drawn.look_up(late, _other_side(split))
+        pair = _before_and_after(drawn, split) if is_seen.mean() < LITTLE_SEEN else None
+        answer = None if pair is None else align_pair(pair, AlignConfig())
+        if answer is None or not answer.accepted:
+            continue
+        away_m = float(_means_m(drawn, late, answer.transform).max())
+        if away_m > REACH_M:
+            from_s, to_s = since_s[[drawn.hit_scans[late[0]], -1]].tolist()
+            return Displacement(from_s, to_s, away_m)
+    return None
+
+
 def contradicted_share(evidence: PathEvidence, name: str) -> float:
     """Return the share of hits, 0 to 1, that fell on free space seen at another time.
 
@@ -234,10 +259,10 @@ def _better_places(
     as many or fewer do, and few.
     """
     against = int(np.count_nonzero(own < PRICE))
-    if against <= DOUBTED * len(late) or drawn.table.size * TILE**2 > MOST_CELLS:
+    if against <= DOUBTED * len(late):
         return
-    before = np.uint32((1 << round(split * CHUNKS)) - 1)
-    pair = Pair(*(_features(drawn, bits) for bits in (before, ~before)))
+    if (pair := _before_and_after(drawn, split)) is None:
+        return
     start = pair.motion_of(Pose2())
     window = SearchWindow((start[0], start[1], start[2]), None, TURNED_RAD)
     _, motions = search(pair, AlignConfig(), window)
@@ -252,10 +277,19 @@ def _explained(place: tuple[F64, Pose2]) -> float:
     return float(np.maximum(place[0], PRICE).sum())
 
 
-def _features(drawn: DrawnChunks, bits: np.uint32) -> GridFeatures:
-    """Make the map of some chunks ready to be aligned."""
-    grid = normalize_grid(drawn.grid(bits), CELL_M, NormalizeConfig(), drawn.device)
-    return GridFeatures(grid, drawn.device)
+def _before_and_after(drawn: DrawnChunks, split: float) -> Pair | None:
+    """Make the maps of what was seen before and after a share of the drive ready to be aligned.
+
+    None if they would be too large.
+    """
+    if drawn.table.size * TILE**2 > MOST_CELLS:
+        return None
+    before = np.uint32((1 << round(split * CHUNKS)) - 1)
+    grids = [drawn.grid(bits) for bits in (before, ~before)]
+    device, config = drawn.device, NormalizeConfig()
+    return Pair(
+        *(GridFeatures(normalize_grid(grid, CELL_M, config, device), device) for grid in grids)
+    )
 
 
 def _means_m(drawn: DrawnChunks, picked: I64, motion: Pose2) -> F64:

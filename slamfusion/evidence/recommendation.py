@@ -25,8 +25,10 @@ from slamfusion.evidence.beams import CHUNKS
 from slamfusion.evidence.displacement import (
     CONTRADICTED,
     DOUBTED,
+    LITTLE_SEEN,
     contradicted_share,
     find_displacements,
+    find_place_seen_before,
 )
 from slamfusion.evidence.parting import PART_M, Span, path_gap_m, path_spans
 from slamfusion.evidence.predictive import BLOCKS, SURE, PathEvidence, compare_sums, with_path
@@ -38,8 +40,6 @@ from slamfusion.trajectory import Trajectory, flag_runs, nearest_stamps
 MOST_CHECKS = 3
 # Share of the drive with displaced walls above which the map is wrong as a whole.
 BENT = 0.25
-# Share of the hits seen at another time below which nothing confirms the path.
-LITTLE_SEEN = 0.25
 # Blocks of scans and log-likelihood per hit from which the scans of a time support one of two
 # paths: scan matchers fit the scans of a place slightly better than the true path does.
 LEAST_BLOCKS, LEAST_DIFFERENCE = 4, 0.03
@@ -276,6 +276,9 @@ def _checks(
         what = f"walls stand {part.away_m:.1f} m away from where they were seen at other times"
         # Certain faults come before open ones.
         add(part.from_s, part.to_s, 0.5 * (part.from_s + part.to_s), 1e3 + part.away_m, what)
+    if (again := find_place_seen_before(evidence, path)) is not None:
+        what = f"a place seen before is drawn again, {again.away_m:.0f} m away"
+        add(again.from_s, again.to_s, again.from_s, 1e3 + again.away_m, what)
     since_s = evidence.scans.stamps_s[evidence.is_judged] - evidence.scans.stamps_s[0]
     for rival, span in undecided(evidence, {own.name: own.spans for own in slams}, path):
         here = (since_s >= span.from_s) & (since_s <= span.to_s)

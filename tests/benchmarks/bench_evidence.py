@@ -33,7 +33,7 @@ from slamfusion.compute import ComputeDevice, open_device
 from slamfusion.config import FailuresConfig, RunConfig
 from slamfusion.evaluation.trajectory_error import trajectory_errors
 from slamfusion.evidence.beams import judged_scans
-from slamfusion.evidence.displacement import find_displacements
+from slamfusion.evidence.displacement import find_displacements, find_place_seen_before
 from slamfusion.evidence.parting import PART_M
 from slamfusion.evidence.predictive import score_paths
 from slamfusion.evidence.recommendation import choose_path
@@ -278,6 +278,7 @@ def judge_drive(folder: Path, device: ComputeDevice) -> Iterator[Found]:
                 name
                 for name in evidence.scores
                 if any(part.away_m >= PART_M for part in find_displacements(evidence, name))
+                or find_place_seen_before(evidence, name) is not None
             ),
             (best, *(name for name in others if name not in behind)),
             ate_m,

@@ -131,6 +131,16 @@ def test_a_map_that_shows_its_walls_twice_is_red(device: ComputeDevice, away_m: 
         assert "away from where they were seen at other times" in place.what
 
 
+def test_a_place_that_is_drawn_elsewhere_again_is_amber(device: ComputeDevice):
+    torn = moved(ROUNDS, (-12.0, 8.0, 2.0), 144)
+    evidence = score_paths(judged_scans(recorded(ROUNDS, odometry=False)), {"a": torn}, device)
+    answer = answer_of(evidence)
+    (place,) = answer.check
+    assert answer.confidence == "medium"
+    assert place.from_s == pytest.approx(36.0, abs=0.5)
+    assert place.what == "a place seen before is drawn again, 26 m away"
+
+
 def test_walls_displaced_in_one_part_alone_are_amber(device: ComputeDevice):
     part = moved(moved(ROUNDS, (0.3, 0.4, 0.0), 120), (-0.3, -0.4, 0.0), 150)
     evidence = score_paths(judged_scans(recorded(ROUNDS, odometry=False)), {"a": part}, device)
