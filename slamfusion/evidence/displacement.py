@@ -23,6 +23,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from operator import itemgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -48,7 +49,7 @@ from slamfusion.evidence.predictive import (
     DrawnChunks,
     PathEvidence,
 )
-from slamfusion.geometry import F64, I64, U32, Pose2, moved_poses
+from slamfusion.geometry import F64, I64, U32, Pose2, moved_poses, wrap_angles
 from slamfusion.trajectory import Trajectory
 
 # Share of the seen walls that were free space at other times above which a map needs a check:
@@ -65,6 +66,8 @@ REACH_M, STEP_M = 0.8, 0.1
 # The most places tried of all that was seen after some time, how far they may be turned, and cells
 # of the largest map that is aligned, 200 m on each side.
 MOST_PLACES, TURNED_RAD, MOST_CELLS = 4, 0.25 * np.pi, 1 << 24
+# Times after which the hits gain this share of the most are told apart by the path alone.
+TELLING = 0.9
 # Smaller displacements are ignored, metres: paths this close have met again.
 LEAST_M = 0.5 * PART_M
 # Walls farther from a hit, cells, do not explain it: twice the deviation again.
@@ -127,15 +130,16 @@ def find_displacements(evidence: PathEvidence, name: str) -> tuple[Displacement,
         picked, own = some[is_seen], np.maximum(likelihoods[is_seen], PRICE)
         block = drawn.hit_scans[picked] * (CHUNKS * BLOCKS) // len(scans)
         hits = np.maximum(np.bincount(block, minlength=CHUNKS * BLOCKS), 1)
-        moves, moves_m = _moved(drawn, picked, among), np.tile(_NEAR_M[:, None], CHUNKS)
-        far, is_moved = likelihoods[is_seen], is_late[is_seen]
-        places = list(_better_places(drawn, picked[is_moved], far[is_moved], split))
-        if places:
-            # The one that explains most of all chunks together.
-            far[is_moved], motion = max(places, key=_explained)
-            moves = np.concatenate((moves, far[None]))
+        moved = np.maximum(_moved(drawn, picked, among), PRICE) - own
+        moves_m = np.tile(_NEAR_M[:, None], CHUNKS)
+        is_moved = is_late[is_seen]
+        places = _better_places(drawn, picked[is_moved], likelihoods[is_seen][is_moved], split)
+        # The one that explains most of all chunks together.
+        for far, motion in sorted(places, key=lambda place: -place[0].sum())[:1]:
+            gained = np.zeros(len(picked))
+            gained[is_moved] = far
+            moved = np.concatenate((moved, gained[None]))
             moves_m = np.concatenate((moves_m, _means_m(drawn, picked, motion)[None]))
-        moved = np.maximum(moves, PRICE) - own
         sums = np.array([np.bincount(block, gain, CHUNKS * BLOCKS) for gain in moved])
         gains = (sums / hits).reshape(-1, CHUNKS, BLOCKS)
         found = _p_values(gains)
@@ -165,7 +169,8 @@ def find_place_seen_before(evidence: PathEvidence, name: str) -> Displacement | 
     for split in SPLITS:
         late = np.flatnonzero(drawn.chunks >= split * CHUNKS)
         _, is_seen = drawn.look_up(late, _other_side(split))
-        pair = _before_and_after(drawn, split) if is_seen.mean() < LITTLE_SEEN else None
+        is_little = np.count_nonzero(is_seen) < LITTLE_SEEN * len(late)
+        pair = _before_and_after(drawn, split) if is_little else None
         answer = None if pair is None else align_pair(pair, AlignConfig())
         if answer is None or not answer.accepted:
             continue
@@ -215,8 +220,12 @@ def find_contradiction(evidence: PathEvidence, name: str) -> Contradiction | Non
     return Contradiction(float(since_s), float(shares[first]), float(np.mean(moved < PRICE)))
 
 
-def moved_together(evidence: PathEvidence, name: str, path: Trajectory) -> tuple[Trajectory, float]:
+def moved_together(
+    evidence: PathEvidence, name: str, path: Trajectory, *, is_torn: bool
+) -> tuple[Trajectory, float]:
     """Move all scans after some time together to where they fit those before it best.
+
+    is_torn: whether they are moved as far as the maps of both times say, else within ``REACH_M``.
 
     Returns:
         ``path``, scored in ``evidence`` as ``name``, after the best motion from the best time on;
@@ -224,29 +233,45 @@ def moved_together(evidence: PathEvidence, name: str, path: Trajectory) -> tuple
     """
     scans, drawn = evidence.scans, _drawn(evidence, name, WALL_CELLS)
     some = _some_hits(drawn)
-    since, most, motion = 0, 0.0, Pose2()
+    own = evidence.scores[name].poses
+    moves = _far_moves(drawn, some, own) if is_torn else _near_moves(drawn, some, scans.chunks)
+    gain, since, motion = max(moves, key=itemgetter(0), default=(0.0, 0, Pose2()))
+    poses, is_late = path.poses.copy(), path.stamps_s >= scans.stamps_s[since]
+    poses[is_late] = moved_poses(motion, poses[is_late])
+    return replace(path, poses=poses), gain / len(some)
+
+
+def _near_moves(drawn: DrawnChunks, some: I64, chunks: I64) -> Iterator[tuple[float, int, Pose2]]:
+    """Yield for each chunk the gain of moving all from its first scan on, that scan, the motion."""
+    along = Pose2(0.0, 0.0, drawn.origin.yaw_rad)
     for first in range(2, CHUNKS):
         late = some[drawn.chunks[some] >= first]
         late = late[drawn.look_up(late, _before(first))[1]]
         sums = _moved(drawn, late, _before(first)).sum(axis=1)
-        gain = float(sums.max() - sums[len(sums) // 2]) / len(some)
-        if gain > most:
-            along = Pose2(0.0, 0.0, drawn.origin.yaw_rad)
-            move_m = along.transform(MOVES_M[sums.argmax()]).tolist()
-            since, most, motion = int(scans.chunks.searchsorted(first)), gain, Pose2(*move_m)
+        move_m = along.transform(MOVES_M[sums.argmax()]).tolist()
+        gain = float(sums.max() - sums[len(sums) // 2])
+        yield gain, int(chunks.searchsorted(first)), Pose2(*move_m)
+
+
+def _far_moves(drawn: DrawnChunks, some: I64, own: F64) -> Iterator[tuple[float, int, Pose2]]:
+    """Yield the same of motions that bring what was seen after a time onto what was seen before.
+
+    own: (N, 3) the poses at the scans. Where no hit tells it, the scan is the one that the motion
+    brings nearest to the one before it: the path is torn there.
+    """
     for split in SPLITS:
         late = some[drawn.chunks[some] >= split * CHUNKS]
-        own, is_seen = drawn.look_up(late, _other_side(split))
-        late, own = late[is_seen], own[is_seen]
-        for found, place in _better_places(drawn, late, own, split):
+        likelihoods, is_seen = drawn.look_up(late, _other_side(split))
+        late = late[is_seen]
+        for gains, motion in _better_places(drawn, late, likelihoods[is_seen], split):
             # Of the hits from each one on.
-            gains = np.cumsum((found - own)[::-1])[::-1] / len(some)
-            if gains.max() > most:
-                scan = drawn.hit_scans[late[gains.argmax()]]
-                since, most, motion = int(scan), float(gains.max()), place
-    poses, is_late = path.poses.copy(), path.stamps_s >= scans.stamps_s[since]
-    poses[is_late] = moved_poses(motion, poses[is_late])
-    return replace(path, poses=poses), most
+            sums = np.cumsum(gains[::-1])[::-1]
+            best = np.flatnonzero(sums >= TELLING * sums.max())
+            first = 1 if best[0] == 0 else int(drawn.hit_scans[late[best[0] - 1]])
+            last = int(drawn.hit_scans[late[best[-1]]])
+            steps = moved_poses(motion, own[first : last + 1]) - own[first - 1 : last]
+            far = np.hypot(steps[:, 0], steps[:, 1]) + np.abs(wrap_angles(steps[:, 2]))
+            yield float(sums.max()), first + int(np.nan_to_num(far, nan=np.inf).argmin()), motion
 
 
 def _better_places(
@@ -254,9 +279,9 @@ def _better_places(
 ) -> Iterator[tuple[F64, Pose2]]:
     """Yield motions of all that was seen after a share of the drive onto what was seen before.
 
-    Each after the log-likelihoods of the hits ``late``, (P,), when they are moved; ``own`` are
-    those where they are. None if few of the hits contradict what was seen before; else, moved, half
-    as many or fewer do, and few.
+    Each after by how much it raises the log-likelihoods of the hits ``late``, (P,), which are
+    ``own`` where they lie. None if few of the hits contradict what was seen before; else, moved,
+    half as many or fewer do, and few, and they gain: where nothing was seen nothing contradicts.
     """
     against = int(np.count_nonzero(own < PRICE))
     if against <= DOUBTED * len(late):
@@ -268,13 +293,10 @@ def _better_places(
     _, motions = search(pair, AlignConfig(), window)
     for motion in map(pair.transform_of, motions[:MOST_PLACES]):
         found, _ = drawn.moved(motion).look_up(late, _other_side(split))
-        if 2 * int(np.count_nonzero(found < PRICE)) <= min(against, CONTRADICTED * len(late)):
-            yield found, motion
-
-
-def _explained(place: tuple[F64, Pose2]) -> float:
-    """Return how well hits fit at a place, sum of the log-likelihoods."""
-    return float(np.maximum(place[0], PRICE).sum())
+        is_better = 2 * np.count_nonzero(found < PRICE) <= min(against, CONTRADICTED * len(late))
+        gains = np.maximum(found, PRICE) - np.maximum(own, PRICE)
+        if is_better and gains.sum() > 0.0:
+            yield gains, motion
 
 
 def _before_and_after(drawn: DrawnChunks, split: float) -> Pair | None:

@@ -213,7 +213,10 @@ def refine_borne_out(
     with_given = with_path(evidence, path.name, path)
     told = with_given.scores[path.name].consistency
     start = "paths"
-    refined, both = _settled(with_given, path, told)
+    # Sought where the path is as it was given: the refinement blurs where it is torn.
+    scores = {**with_given.scores, _REFINED: with_given.scores[path.name]}
+    joined, _ = _joined(with_given, path, replace(with_given, scores=scores), is_torn=True)
+    refined, both = _settled(with_given, joined, told)
     starts = {name: _at_scans(with_given, path, one.poses) for name, one in evidence.scores.items()}
     far = [name for name, one in starts.items() if _apart_m(one, refined).max() > FAR_M]
     for name in far if 2 * len(far) >= len(starts) else ():
@@ -222,7 +225,6 @@ def refine_borne_out(
         other, with_other = _settled(with_given, starts[name], told, is_far=True)
         if _gain(with_other, both).difference > FAR_GAIN:
             start, refined, both = name, other, with_other
-    refined, both = _joined(with_given, refined, both)
     by_odometry = _from_odometry(with_given, path)
     if by_odometry is not None:
         other, with_other = by_odometry
@@ -273,18 +275,18 @@ def _from_odometry(
     told = with_path(evidence, _REFINED, wheels).scores[_REFINED].consistency
     if told < score.consistency - NEAR:
         return None
-    refined, both = _joined(evidence, *_settled(evidence, wheels, told))
+    refined, both = _joined(evidence, *_settled(evidence, wheels, told), is_torn=False)
     poses = laid_onto(refined.poses, path.poses)
     return Trajectory(path.stamps_s, poses, path.name), both
 
 
 def _joined(
-    evidence: PathEvidence, refined: Trajectory, both: PathEvidence
+    evidence: PathEvidence, refined: Trajectory, both: PathEvidence, *, is_torn: bool
 ) -> tuple[Trajectory, PathEvidence]:
-    """Move the scans after some time together while that gains."""
+    """Move the scans after some time together while that gains; see ``moved_together``."""
     for _ in range(MOST_ROUNDS):
         told = both.scores[_REFINED].consistency
-        moved, gain = moved_together(both, _REFINED, refined)
+        moved, gain = moved_together(both, _REFINED, refined, is_torn=is_torn)
         if gain < GAIN:
             break
         again, with_again = _settled(evidence, moved, told)
