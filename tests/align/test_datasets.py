@@ -19,7 +19,7 @@ from slamfusion.grid import OccupancyGrid
 from slamfusion.io.map_server import load_map
 from tests.fusion.drawings import features_of, fusion_config, off_by
 from tests.support import halmstad
-from tests.support.datasets import MAPS, MapEntry, load_entry, map_entries
+from tests.support.datasets import MAPS, align_entries, load_entry, map_entries
 from tests.support.overlap import are_different_places, drawn, half_pairs, load_source
 
 pytestmark = pytest.mark.datasets
@@ -88,13 +88,6 @@ def test_all_pairs_of_a_place_are_accepted_and_their_triangles_close(
     assert_triangles_close(grids, pairs)
 
 
-def aligned(a: MapEntry, b: MapEntry, device: ComputeDevice) -> Alignment:
-    """Align the larger of two recorded maps with the smaller one."""
-    size = min(entry.cell_size_m or 0.05 for entry in (a, b))
-    features = [features_of(load_entry(entry), device, size) for entry in (a, b)]
-    return align_pair(Pair(*sorted(features, key=lambda own: math.prod(own.shape))), QUICK.align)
-
-
 def test_maps_of_different_places_are_never_accepted(
     device: ComputeDevice, request: pytest.FixtureRequest
 ) -> None:
@@ -103,7 +96,7 @@ def test_maps_of_different_places_are_never_accepted(
     # Of some two thousand pairs, evenly: maps against maps of every kind.
     wanted = 40 if request.config.getoption("--full") else 4
     chosen = pairs[11 :: len(pairs) // wanted]
-    found = [aligned(a, b, device) for a, b in chosen]
+    found = [align_entries(a, b, QUICK, device) for a, b in chosen]
     assert len(found) >= wanted
     assert [f"{p.moving}-{p.reference}: {p.reason}" for p in found if p.accepted] == []
 
@@ -114,13 +107,7 @@ def test_halmstad_pairs_are_right_as_people_marked_them(device: ComputeDevice) -
     pairs = [(place, *pair) for place in names for pair in itertools.combinations(names[place], 2)]
     pairs.append(("HIH", "HIH_01", "HIH_04"))
     for place, first, second in pairs:
-        grids = {
-            name: load_map(
-                halmstad.FOLDER / "maps" / place / "pseudo_occupancy" / f"{name}.png",
-                resolution=halmstad.CELL_M,
-            ).with_name(name)
-            for name in (first, second)
-        }
+        grids = halmstad.load_place(place)
         found = align_grids(grids[first], grids[second], QUICK, device)
         pixels, degrees = halmstad.annotated_error(grids[second], found)
         is_right = pixels < halmstad.RIGHT_PIXELS and degrees < halmstad.RIGHT_DEGREES
@@ -168,7 +155,7 @@ def test_a_plan_with_smoothed_lines_is_no_warehouse(device: ComputeDevice) -> No
     plan = named["halmstad/maps/HIH/layout/HIH_layout.png"]
     warehouse = named["worlds/nav2/warehouse.yaml"]
     for pair in ((plan, warehouse), (warehouse, plan)):
-        found = aligned(*pair, device)
+        found = align_entries(*pair, QUICK, device)
         assert not found.accepted, found.reason
 
 

@@ -11,12 +11,12 @@ be accepted (at 1.02 times the scale it may be, where the scale is named).
 
 from __future__ import annotations
 
-import hashlib
 import json
 import multiprocessing
-from collections import Counter, OrderedDict
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -24,21 +24,14 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from slamfusion.align.align import align_pair
-from slamfusion.align.features import GridFeatures
-from slamfusion.align.normalize import common_resolution, normalize_grid
-from slamfusion.align.pair import Pair
-from slamfusion.compute import open_device
+from slamfusion.compute import shared_device
 from slamfusion.config import FusionConfig
-from slamfusion.grid import OccupancyGrid
+from slamfusion.fusion import align_grids
 from slamfusion.json_values import plain
 from tests.benchmarks.record import bench_parser, console_for
 from tests.support.datasets import ABSENT, MAPS
 from tests.support.overlap import NEGATIVES, OVERLAPS, POSITIVES, SETS, Draft
 
-# Prepared maps that a process keeps, and the maps whose pairs are aligned one after another.
-KEPT_FEATURES = 24
-BLOCK_MAPS = 10
 OUTCOMES = ("accepted right", "accepted wrong", "found, rejected", "not found")
 # Metres of wall in common, counted by cells, with which a pair should be believed.
 WALL_ENOUGH_M = 10
@@ -50,64 +43,31 @@ WALL_ENOUGH_M = 10
 Result = dict[str, Any]
 
 
-class Aligner:
-    """Makes and aligns pairs, and keeps the features of the maps it saw last."""
-
-    def __init__(self, on_device: str) -> None:
-        self.config = FusionConfig()
-        self.device = open_device(on_device)
-        self.features: OrderedDict[tuple[Any, ...], GridFeatures] = OrderedDict()
-
-    def feature(self, grid: OccupancyGrid, resolution: float) -> GridFeatures:
-        """Return the prepared map; two grids of the same cells, name and place are one."""
-        digest = hashlib.sha256(grid.cells.tobytes()).digest()
-        key = (grid.name, grid.cells.shape, digest, grid.origin, grid.resolution, resolution)
-        if key not in self.features:
-            prepared = normalize_grid(grid, resolution, self.config.normalize, self.device)
-            self.features[key] = GridFeatures(prepared, self.device)
-        self.features.move_to_end(key)
-        while len(self.features) > KEPT_FEATURES:
-            self.features.popitem(last=False)
-        return self.features[key]
-
-    def align(self, draft: Draft) -> Result | None:
-        """Return what comes of a draft; None where it is left out."""
-        case = draft.draw()
-        if case is None:
-            return None
-        size = common_resolution([case.reference, case.moving], self.config.normalize)
-        reference, moving = (self.feature(grid, size) for grid in (case.reference, case.moving))
-        record = align_pair(Pair(reference, moving), self.config.align)
-        error = case.error(record.transform)
-        is_right = case.is_right(record.transform)
-        return {
-            "name": case.name,
-            "what": case.what,
-            "place": case.place,
-            "seed": draft.seed,
-            "reference_map": draft.reference.source,
-            "moving_map": draft.moving.source,
-            "overlap": case.overlap,
-            "common_walls": case.common_walls,
-            "common_wall_m": case.common_walls * case.reference.resolution,
-            "is_right": is_right,
-            "outcome": OUTCOMES[2 * (not record.accepted) + (not is_right)],
-            "error_m": None if error is None else error[0],
-            "error_deg": None if error is None else error[1],
-            "alignment": plain(record),
-        }
-
-
-def _start_worker(on_device: str) -> None:
-    global _aligner  # noqa: PLW0603 - a process of the pool has one, made when it starts
-    _aligner = Aligner(on_device)
-
-
-def _work(draft: Draft) -> tuple[str, Result | None]:
-    return draft.what, _aligner.align(draft)
-
-
-_aligner: Aligner
+def align(draft: Draft, on_device: str) -> tuple[str, Result | None]:
+    """Return what a pair is, and what comes of it; None where it is left out."""
+    case = draft.draw()
+    if case is None:
+        return draft.what, None
+    device = shared_device(on_device)
+    record = align_grids(case.reference, case.moving, FusionConfig(), device)
+    error = case.error(record.transform)
+    is_right = case.is_right(record.transform)
+    return draft.what, {
+        "name": case.name,
+        "what": case.what,
+        "place": case.place,
+        "seed": draft.seed,
+        "reference_map": draft.reference.source,
+        "moving_map": draft.moving.source,
+        "overlap": case.overlap,
+        "common_walls": case.common_walls,
+        "common_wall_m": case.common_walls * case.reference.resolution,
+        "is_right": is_right,
+        "outcome": OUTCOMES[2 * (not record.accepted) + (not is_right)],
+        "error_m": None if error is None else error[0],
+        "error_deg": None if error is None else error[1],
+        "alignment": plain(record),
+    }
 
 
 def results_of(
@@ -116,21 +76,8 @@ def results_of(
     """Align all pairs in processes of their own, in no certain order."""
     # A device that was opened before a fork is of no use after it.
     context = multiprocessing.get_context("spawn")
-    with context.Pool(processes, _start_worker, (on_device,)) as pool:
-        yield from pool.imap_unordered(_work, drafts, chunksize=8)
-
-
-def in_blocks(drafts: list[Draft]) -> list[Draft]:
-    """Order pairs so that few maps are in use at a time, and halves of each overlap together."""
-    sources = sorted({part.source for draft in drafts for part in (draft.reference, draft.moving)})
-    place = {source: index for index, source in enumerate(sources)}
-
-    def key(draft: Draft) -> tuple[float, int, int, str, str]:
-        overlap = draft.overlap if draft.has_truth else 0.0
-        a, b = (place[part.source] // BLOCK_MAPS for part in (draft.reference, draft.moving))
-        return overlap, a, b, draft.reference.name, draft.moving.name
-
-    return sorted(drafts, key=key)
+    with context.Pool(processes) as pool:
+        yield from pool.imap_unordered(partial(align, on_device=on_device), drafts, chunksize=8)
 
 
 def print_found(results: list[Result], console: Console) -> None:
@@ -190,7 +137,7 @@ def main() -> None:
     if not MAPS.is_dir() and set(names) != {"simulated"}:
         parser.error(ABSENT + ", or ask for --only simulated")
     console = console_for("overlap", arguments.record, width=160)
-    drafts = [draft for name in names for draft in in_blocks(list(SETS[name](arguments.seed)))]
+    drafts = [draft for name in names for draft in SETS[name](arguments.seed)]
     results: list[Result] = []
     left_out: Counter[str] = Counter()
     with ExitStack() as stack:

@@ -9,7 +9,6 @@ pairs of one place, and the Halmstad pairs against their annotation. ``align`` s
 from __future__ import annotations
 
 import itertools
-import math
 from collections import Counter
 from collections.abc import Iterable, Iterator
 
@@ -17,21 +16,19 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from slamfusion.align.align import align_pair
-from slamfusion.align.features import GridFeatures
-from slamfusion.align.normalize import normalize_grid
-from slamfusion.align.pair import Pair as MapPair
 from slamfusion.align.records import Alignment
 from slamfusion.compute import ComputeDevice, open_device
 from slamfusion.config import FusionConfig
+from slamfusion.fusion import align_grids
 from tests.benchmarks.record import bench_parser, console_for
-from tests.support.datasets import MapEntry, load_entry, map_entries
+from tests.support.datasets import MapEntry, align_entries, map_entries
 from tests.support.halmstad import RIGHT_DEGREES, RIGHT_PIXELS, annotated_error, load_place
 from tests.support.overlap import are_different_places
 
 Pair = tuple[MapEntry, MapEntry]
 # Of the table of counts: pairs, right, accepted, accepted wrong.
 Counts = tuple[str, str, str, str]
+CONFIG = FusionConfig()
 
 
 def different_places() -> Iterator[Pair]:
@@ -48,52 +45,20 @@ def same_place() -> Iterator[Pair]:
             yield a, b
 
 
-class Aligner:
-    """Aligns pairs, keeping the features of each map and resolution."""
-
-    def __init__(self, device: ComputeDevice) -> None:
-        self.config = FusionConfig()
-        self.device = device
-        self.features: dict[tuple[str, float], GridFeatures] = {}
-
-    def feature(self, entry: MapEntry, resolution: float) -> GridFeatures:
-        """Return the prepared map."""
-        key = (entry.file, resolution)
-        if key not in self.features:
-            grid = normalize_grid(load_entry(entry), resolution, self.config.normalize, self.device)
-            self.features[key] = GridFeatures(grid, self.device)
-        return self.features[key]
-
-    def align(self, a: MapEntry, b: MapEntry) -> Alignment:
-        """Align the larger of two maps to the smaller."""
-        resolution = min(entry.cell_size_m or 0.05 for entry in (a, b))
-        first, second = self.feature(a, resolution), self.feature(b, resolution)
-        if math.prod(first.shape) > math.prod(second.shape):
-            first, second = second, first
-        return align_pair(MapPair(first, second), self.config.align)
-
-
-def count_pairs(aligner: Aligner, pairs: Iterable[Pair]) -> tuple[int, list[Alignment]]:
+def count_pairs(pairs: Iterable[Pair], device: ComputeDevice) -> tuple[int, list[Alignment]]:
     """Align pairs; return how many there are, and the alignments that are accepted."""
-    records = [aligner.align(a, b) for a, b in pairs]
+    records = [align_entries(a, b, CONFIG, device) for a, b in pairs]
     return len(records), [record for record in records if record.accepted]
 
 
-def bench_halmstad(aligner: Aligner, console: Console) -> list[Counts]:
+def bench_halmstad(device: ComputeDevice, console: Console) -> list[Counts]:
     """Print which Halmstad pairs are wrong by their annotation."""
     rows: list[Counts] = []
     for place in ("F5", "HIH", "E5", "KPT4A"):
         counts: Counter[str] = Counter()
         grids = load_place(place)
-        features = {
-            name: GridFeatures(
-                normalize_grid(grid, grid.resolution, aligner.config.normalize, aligner.device),
-                aligner.device,
-            )
-            for name, grid in grids.items()
-        }
-        for a, b in itertools.combinations(features, 2):
-            record = align_pair(MapPair(features[a], features[b]), aligner.config.align)
+        for a, b in itertools.combinations(grids, 2):
+            record = align_grids(grids[a], grids[b], CONFIG, device)
             pixels, degrees = annotated_error(grids[b], record)
             is_right = pixels < RIGHT_PIXELS and degrees < RIGHT_DEGREES
             counts["pairs"] += 1
@@ -114,14 +79,14 @@ def main() -> None:
     parser.add_argument("--device", default="auto")
     arguments = parser.parse_args()
     console = console_for("places", arguments.record, width=180)
-    aligner = Aligner(open_device(arguments.device))
+    device = open_device(arguments.device)
     table = Table("pairs", "right", "accepted", "accepted wrong", title="all pairs")
-    for row in bench_halmstad(aligner, console):
+    for row in bench_halmstad(device, console):
         table.add_row(*row)
-    count, accepted = count_pairs(aligner, same_place())
+    count, accepted = count_pairs(same_place(), device)
     table.add_row(f"{count} pairs of one place", "no truth", str(len(accepted)), "-")
     pairs = track(list(different_places()), "different places", console=Console(stderr=True))
-    count, accepted = count_pairs(aligner, pairs)
+    count, accepted = count_pairs(pairs, device)
     for record in accepted:
         console.print(f"WRONG: {record.moving} to {record.reference}: {record.reason}")
     wrong = str(len(accepted))

@@ -18,6 +18,7 @@ RIGHT_PIXELS = 30.0
 RIGHT_DEGREES = 3.0
 
 
+@cache
 def load_place(place: str) -> dict[str, OccupancyGrid]:
     """Load the sensor maps of a place (E5, F5, HIH, KPT4A) by name; a pixel is taken as 0.05 m."""
     files = sorted((FOLDER / "maps" / place / "pseudo_occupancy").glob("*.png"))
