@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import tracemalloc
 from dataclasses import replace
@@ -70,8 +71,7 @@ def test_a_jump_is_confirmed_within_seconds_though_no_map_comes(
 def test_a_jump_of_the_only_input_left_is_confirmed_by_the_last_fused_map(
     device: ComputeDevice,
 ) -> None:
-    drive = Drive(live_fusion(device))
-    drive.step(three()["a"], three()["b"])
+    drive = started(device, "ab")
     first = drive.fused
     drive.live.drop("a", "its producer is gone")
     drive.step(moved_frame(three()["b"], AWAY))
@@ -228,23 +228,21 @@ def test_a_tracked_map_whose_walls_do_not_match_loses_its_vote_while_that_lasts(
 # -- poses -----------------------------------------------------------------------------------------
 
 
-def tell(drive: Drive, stamp_s: float, **off_m: float) -> None:
+def tell(drive: Drive, stamps: range, **off_m: float) -> None:
     """Let inputs say where the robot is on its way along x, each off by some metres along y."""
-    for record in drive.live.inputs():
+    for stamp, record in itertools.product(stamps, drive.live.inputs()):
         if record.name in off_m and record.transform is not None:
-            there = Pose2(0.3 * stamp_s, off_m[record.name], 0.0)
-            drive.live.hear(record.name, stamp_s, record.transform.inverse().compose(there))
+            there = Pose2(0.3 * stamp, off_m[record.name], 0.0)
+            drive.live.hear(record.name, float(stamp), record.transform.inverse().compose(there))
 
 
 def test_poses_that_contradict_the_others_take_the_vote_while_that_lasts(
     device: ComputeDevice,
 ) -> None:
     drive = started(device)
-    for stamp in range(10):
-        tell(drive, float(stamp), a=0.0, b=0.1, c=-0.1)
+    tell(drive, range(10), a=0.0, b=0.1, c=-0.1)
     assert drive.maybe() is None
-    for stamp in range(10, 15):
-        tell(drive, float(stamp), a=0.0, b=7.0, c=-0.1)
+    tell(drive, range(10, 15), a=0.0, b=7.0, c=-0.1)
     update = drive.maybe()
     assert drive.accepted() == "ac"
     assert "poses contradict those of a, c: 7.0 m" in drive.input("b").reason
@@ -252,8 +250,7 @@ def test_poses_that_contradict_the_others_take_the_vote_while_that_lasts(
     # Its map goes on to be followed, and the votes come back when the poses do.
     drive.step(touched(three()["b"], 1, 0.001))
     assert drive.accepted() == "ac"
-    for stamp in range(15, 20):
-        tell(drive, float(stamp), a=0.0, b=0.1, c=-0.1)
+    tell(drive, range(15, 20), a=0.0, b=0.1, c=-0.1)
     drive.step()
     assert drive.accepted() == "abc"
 
@@ -268,10 +265,8 @@ def test_who_goes_wrong_half_way_leaves_nothing_in_the_fused_map_while_it_lasts(
     again = np.roll(half, round(0.8 / good.resolution), axis=0)
     half[again == OCCUPIED] = OCCUPIED
     drive = started(device)
-    for stamp in range(10):
-        tell(drive, float(stamp), a=0.0, b=0.1, c=-0.1)
-    for stamp in range(10, 15):
-        tell(drive, float(stamp), a=0.0, b=1.5, c=-0.1)
+    tell(drive, range(10), a=0.0, b=0.1, c=-0.1)
+    tell(drive, range(10, 15), a=0.0, b=1.5, c=-0.1)
     drive.step(replace(good, cells=cells))
     assert drive.accepted() == "ac"
     assert "poses contradict those of a, c" in drive.input("b").reason
@@ -280,8 +275,7 @@ def test_who_goes_wrong_half_way_leaves_nothing_in_the_fused_map_while_it_lasts(
     alone.step()
     assert np.array_equal(drive.fused.cells, alone.fused.cells)
     # It has its vote again when it is right again.
-    for stamp in range(15, 20):
-        tell(drive, float(stamp), a=0.0, b=0.1, c=-0.1)
+    tell(drive, range(15, 20), a=0.0, b=0.1, c=-0.1)
     drive.step(good)
     assert drive.accepted() == "abc"
 
@@ -289,26 +283,21 @@ def test_who_goes_wrong_half_way_leaves_nothing_in_the_fused_map_while_it_lasts(
 def test_of_two_whose_poses_contradict_neither_votes_and_the_last_map_stays(
     device: ComputeDevice,
 ) -> None:
-    drive = Drive(live_fusion(device))
-    drive.step(three()["a"], three()["b"])
+    drive = started(device, "ab")
     first = drive.fused
-    for stamp in range(10):
-        tell(drive, float(stamp), a=0.0, b=0.1)
-    for stamp in range(10, 15):
-        tell(drive, float(stamp), a=0.0, b=3.0)
+    tell(drive, range(10), a=0.0, b=0.1)
+    tell(drive, range(10, 15), a=0.0, b=3.0)
     update = drive.step(touched(three()["a"], 1), touched(three()["b"], 1))
     assert drive.accepted() == ""
     assert update.fused is None
     assert "no majority decides" in update.problem
     assert all("poses contradict" in record.reason for record in update.inputs)
-    for stamp in range(15, 20):
-        tell(drive, float(stamp), a=0.0, b=0.1)
+    tell(drive, range(15, 20), a=0.0, b=0.1)
     update = drive.step()
     assert drive.accepted() == "ab"
     assert_same_lattice(first, update.fused)
     # When one of two that contradict each other is lost, the other goes on.
-    for stamp in range(20, 25):
-        tell(drive, float(stamp), a=0.0, b=3.0)
+    tell(drive, range(20, 25), a=0.0, b=3.0)
     drive.step()
     assert drive.accepted() == ""
     drive.live.drop("b", "its producer is gone")

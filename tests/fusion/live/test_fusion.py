@@ -185,8 +185,7 @@ def test_a_third_tells_which_of_two_is_wrong_also_when_it_is_the_reference(
 def test_two_that_disagree_are_both_named_and_nothing_new_is_published(
     device: ComputeDevice,
 ) -> None:
-    drive = Drive(live_fusion(device))
-    drive.step(three()["a"], three()["b"])
+    drive = started(device, "ab")
     last = drive.fused
     for number in range(3):
         places = [building(50 + 2 * number + n, 12.0, 10.0) for n in range(2)]
@@ -205,8 +204,7 @@ def test_two_that_disagree_are_both_named_and_nothing_new_is_published(
 def test_of_two_that_disagree_the_one_goes_on_that_fits_the_map_they_agreed_on(
     device: ComputeDevice, name: str
 ) -> None:
-    drive = Drive(live_fusion(device))
-    drive.step(three()["a"], three()["b"])
+    drive = started(device, "ab")
     last = drive.fused
     other = "ab".replace(name, "")
     # The other's map must change a little too: the reference alone is held against nobody.
@@ -236,8 +234,7 @@ def test_walls_of_the_reference_that_creep_do_not_take_the_frame_along(
 
 
 def test_a_step_of_the_reference_alone_moves_no_other_input(device: ComputeDevice) -> None:
-    drive = Drive(live_fusion(device))
-    drive.step(three()["b"], three()["c"])
+    drive = started(device, "bc")
     assert drive.step(three()["a"]).reference == "b"
     places = {name: drive.input(name).transform for name in "ac"}
     drive.step(moved_frame(three()["b"], Pose2(0.2, 0.0, 0.0)))

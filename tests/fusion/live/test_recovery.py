@@ -11,7 +11,7 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.fusion.live.fusion import LiveUpdate
 from slamfusion.fusion.live.recovery import LAST_AGREED
 from slamfusion.grid import OccupancyGrid
-from tests.fusion.live.maps import AWAY, Drive, live_fusion, moved_frame, started, three, touched
+from tests.fusion.live.maps import AWAY, Drive, moved_frame, started, three, touched
 
 
 def bent(grid: OccupancyGrid, aside: int) -> OccupancyGrid:
@@ -44,8 +44,7 @@ def test_of_two_that_drew_the_last_map_the_one_goes_on_that_fits_what_a_majority
 
 
 def test_a_third_that_comes_while_two_disagree_says_who_is_right(device: ComputeDevice) -> None:
-    drive = Drive(live_fusion(device))
-    drive.step(three()["a"], three()["b"])
+    drive = started(device, "ab")
     update = bend_until(drive, lambda: drive.accepted() == "")
     assert update.problem == "a, b disagree and no majority decides"
     drive.step(moved_frame(three()["c"], AWAY))

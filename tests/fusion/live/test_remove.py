@@ -7,9 +7,7 @@ import numpy as np
 from slamfusion.compute import ComputeDevice
 from tests.fusion.live.maps import (
     AWAY,
-    Drive,
     assert_same_lattice,
-    live_fusion,
     moved_frame,
     on_lattice,
     share_standing,
@@ -27,8 +25,7 @@ def test_its_vote_goes_with_it_and_the_map_is_that_of_the_others(device: Compute
     assert [record.name for record in update.inputs] == ["a", "b"]
     assert drive.accepted() == "ab"
 
-    two = Drive(live_fusion(device))
-    two.step(three()["a"], three()["b"])
+    two = started(device, "ab")
     assert_same_lattice(two.fused, drive.fused)
     # With a third map beside them two lie a few millimetres otherwise.
     assert np.mean(on_lattice(two.fused, drive.fused) == drive.fused.cells) > 0.99
