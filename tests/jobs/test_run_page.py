@@ -13,13 +13,12 @@ import pytest
 
 from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
-from slamfusion.evaluation.map_error import compare_to_truth
 from slamfusion.evaluation.measured import Measures
 from slamfusion.evaluation.relations import Relations, relation_errors
 from slamfusion.evaluation.trajectory_error import trajectory_errors
 from slamfusion.fusion.path_check import path_gaps
 from slamfusion.geometry import Pose2
-from slamfusion.jobs.fuse_documents import DoubledWalls, Evaluation
+from slamfusion.jobs.fuse_documents import DoubledWalls
 from slamfusion.jobs.fused_path import FusedPath
 from slamfusion.jobs.records import Circumstances
 from slamfusion.jobs.run_files import DriveFusion, FailedProducer, LogRun, RunFiles, RunProducer
@@ -28,7 +27,7 @@ from slamfusion.palette import NAMED, OTHERS
 from slamfusion.report.page import write_page
 from slamfusion.slam.common.runner import ProducerRun, run_producer
 from slamfusion.trajectory import Trajectory
-from tests.report.drawn import NASTY, REASON, fusion, room
+from tests.report.drawn import NASTY, REASON, evaluations, fusion
 from tests.report.test_reports import read
 from tests.support.producers import DeadReckoning, room_drive
 
@@ -61,11 +60,6 @@ def everything() -> LogRun:
     gaps = path_gaps(
         {name: path.moved(Pose2(0.0, 2.5 * index)) for index, name in enumerate(NAMES)}
     )
-    yardstick = room("truth", 7)
-    evaluations = [
-        Evaluation(**vars(compare_to_truth(grid, yardstick)), aligned=True, alignment=None)
-        for grid in (room("room 0", 0), room("fused", 7))
-    ]
     why = f"its process was killed {NASTY}"
     died = FailedProducer(name="gmapping", failed=why, process_time_s=1.0, process_cpu_s=None)
     producers = [
@@ -102,7 +96,7 @@ def everything() -> LogRun:
         ),
         drawn_map=None,
         why_voted=None,
-        evaluations=tuple(evaluations),
+        evaluations=tuple(evaluations()),
         recommendation=None,
         evidence=None,
         no_verdict=None,

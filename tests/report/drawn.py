@@ -12,8 +12,10 @@ import numpy.typing as npt
 
 from slamfusion.align.decide import MatchEvidence
 from slamfusion.align.records import Alignment, FusionResult, InputRecord, RunnerUp
+from slamfusion.evaluation.map_error import compare_to_truth
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
+from slamfusion.jobs.fuse_documents import Evaluation
 from slamfusion.palette import Rgb
 from slamfusion.report.canvas import to_form
 from slamfusion.slam.common.runner import ProducerRun, run_producer
@@ -127,6 +129,17 @@ def fusion(*, rejected_name: str = NASTY, accepted: int = 3) -> FusionResult:
         device="numpy",
         time_s=0.5,
     )
+
+
+def evaluation(grid: OccupancyGrid, found: Alignment | None = None) -> Evaluation:
+    """The errors of a map against a room, where it lies, or as it was aligned."""
+    error = compare_to_truth(grid, room("truth", 7))
+    return Evaluation(**vars(error), aligned=found is None or found.accepted, alignment=found)
+
+
+def evaluations(found: Alignment | None = None) -> list[Evaluation]:
+    """The errors of an input and of the fused map, which has none."""
+    return [evaluation(room("room 0", 0), found), evaluation(room("fused", 7))]
 
 
 def colours_of(image: npt.NDArray[Any]) -> set[tuple[int, int, int]]:

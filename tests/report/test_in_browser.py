@@ -12,11 +12,9 @@ import numpy as np
 import pytest
 
 from slamfusion.config import RunConfig
-from slamfusion.evaluation.map_error import compare_to_truth
 from slamfusion.jobs.fuse import FusedMaps, write_fusion_report
-from slamfusion.jobs.fuse_documents import Evaluation
 from slamfusion.palette import AGREED_WALL_RGB, OTHERS, WALL_RGB
-from tests.report.drawn import colours_of, fusion, room
+from tests.report.drawn import colours_of, evaluation, fusion, room
 from tests.support.browser import PIXEL, becomes, browser_page
 
 pytestmark = pytest.mark.once
@@ -28,10 +26,7 @@ WALL = (4, 30)
 
 @pytest.fixture(scope="module")
 def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    truth = room("truth", 7)
-    fused = room("fused", 0)
-    error = compare_to_truth(fused, truth)
-    errors = (Evaluation(**vars(error), aligned=True, alignment=None),)
+    errors = (evaluation(room("fused", 0)),)
     maps = FusedMaps(RunConfig(), fusion(rejected_name=NASTY), None, errors)
     return write_fusion_report(maps, tmp_path_factory.mktemp("report"))
 

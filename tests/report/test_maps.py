@@ -23,19 +23,12 @@ def shown(name: str, seed: int) -> ClassifiedGrid:
     return room(name, seed).classified(NORMALIZE)
 
 
-def test_maps_too_far_apart_to_be_drawn_have_no_overlay() -> None:
-    far = replace(alignment("a", "b", accepted=False), transform=Pose2(1e5, 1e5))
+def test_the_overlay_of_a_rejected_pair_is_marked_if_there_is_something_to_draw() -> None:
+    found = alignment("a", "b", accepted=False)
+    far = replace(found, transform=Pose2(1e5, 1e5))
     assert pair_overlay(shown("a", 1), shown("b", 2), far, COLOURS) is None
-
-
-def test_an_unknown_map_has_no_overlay() -> None:
     unknown = replace(shown("b", 2), cells=np.full((5, 5), -1, dtype=np.int8))
-    found = alignment("a", "b", accepted=False)
     assert pair_overlay(shown("a", 1), unknown, found, COLOURS) is None
-
-
-def test_the_overlay_of_a_rejected_pair_is_marked() -> None:
-    found = alignment("a", "b", accepted=False)
     picture = pair_overlay(shown("a", 1), shown("b", 2), found, COLOURS)
     assert picture.badge == "rejected"
     assert picture.legend == COLOURS

@@ -13,16 +13,23 @@ import cv2
 import numpy as np
 import pytest
 
-from slamfusion.align.records import Alignment
 from slamfusion.config import PICTURE_FORMS, ReportConfig, RunConfig
 from slamfusion.errors import AlignmentError, SlamFusionError
-from slamfusion.evaluation.map_error import compare_to_truth
-from slamfusion.grid import OccupancyGrid
 from slamfusion.jobs.evaluate import write_evaluation
 from slamfusion.jobs.fuse import FusedMaps, write_failed_fusion, write_fusion_report
-from slamfusion.jobs.fuse_documents import Evaluation, left_out_sentences
+from slamfusion.jobs.fuse_documents import left_out_sentences
 from slamfusion.slam.registry import with_producers, with_settings
-from tests.report.drawn import NASTY, REASON, alignment, colours_of, explains, fusion, room
+from tests.report.drawn import (
+    NASTY,
+    REASON,
+    alignment,
+    colours_of,
+    evaluation,
+    evaluations,
+    explains,
+    fusion,
+    room,
+)
 
 pytestmark = pytest.mark.once
 
@@ -78,17 +85,6 @@ def read(path: Path) -> PageReader:
     page.feed(path.read_text(encoding="utf-8"))
     page.text = " ".join(page.text.split())
     return page
-
-
-def evaluation(grid: OccupancyGrid, found: Alignment | None = None) -> Evaluation:
-    truth = room("truth", 7)
-    error = compare_to_truth(grid, truth)
-    aligned = found is None or found.accepted
-    return Evaluation(**vars(error), aligned=aligned, alignment=found)
-
-
-def evaluations(found: Alignment | None = None) -> list[Evaluation]:
-    return [evaluation(room("room 0", 0), found), evaluation(room("fused", 7))]
 
 
 @pytest.fixture(scope="module")
