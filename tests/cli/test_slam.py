@@ -5,14 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from slamfusion.io import read_trajectory, write_carmen
 from slamfusion.io.log import LogScan
-from slamfusion.scan import LaserScan
 from tests.cli.command import assert_one_line_failure, json_of, run, tree
-from tests.support.producers import room_drive
+from tests.support.producers import room_drive, unseeing
 
 SUFFIXES = (".json", ".pgm", ".tum", ".yaml")
 
@@ -20,15 +18,6 @@ SUFFIXES = (".json", ".pgm", ".tum", ".yaml")
 def write_log(path: Path, scans: Sequence[LogScan]) -> Path:
     write_carmen(path, scans)
     return path
-
-
-def unseeing(item: LogScan) -> LogScan:
-    """The same scan with no reading that could be used."""
-    scan = item.scan
-    nothing = np.full(len(scan), np.inf, dtype=np.float32)
-    step = scan.angle_increment_rad
-    blind = LaserScan(scan.stamp_s, nothing, scan.angle_min_rad, step, 0.05, 30.0)
-    return LogScan(blind, item.odometry, item.line)
 
 
 def test_a_truth_of_another_time_loses_no_map(tmp_path: Path) -> None:
@@ -62,8 +51,7 @@ def test_odometry_of_scans_replaces_the_poses_of_the_log(tmp_path: Path) -> None
 
 def test_a_doubtful_run_is_said_everywhere(tmp_path: Path) -> None:
     scans = room_drive(12)
-    scans[6:] = [unseeing(item) for item in scans[6:]]
-    log = write_log(tmp_path / "room.log", scans)
+    log = write_log(tmp_path / "room.log", scans[:6] + unseeing(scans[6:]))
     done = run(
         "slam", "tinyslam", log, "-o", tmp_path / "map",
         "--report", tmp_path / "report", "--json",
@@ -78,7 +66,7 @@ def test_a_doubtful_run_is_said_everywhere(tmp_path: Path) -> None:
 
 
 def test_scans_that_see_nothing_make_no_map_and_no_file(tmp_path: Path) -> None:
-    log = write_log(tmp_path / "blind.log", [unseeing(item) for item in room_drive(3)])
+    log = write_log(tmp_path / "blind.log", unseeing(room_drive(3)))
     done = run("slam", "tinyslam", log, "-o", tmp_path / "map")
     assert_one_line_failure(done, "blind.log", "none of 3 scans", "3 x no reading")
     assert set(tree(tmp_path)) == {"blind.log"}

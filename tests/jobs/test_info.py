@@ -7,7 +7,6 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from slamfusion.cli.program import run_program
@@ -19,6 +18,7 @@ from slamfusion.jobs.info import describe
 from tests.cli.command import SAMPLE
 from tests.slam.drives import drive
 from tests.support.documents import check_document
+from tests.support.producers import unseeing
 
 pytestmark = pytest.mark.once
 
@@ -45,11 +45,7 @@ def test_a_log_has_its_rate_its_gaps_and_its_odometry(tmp_path: Path) -> None:
 
 
 def test_a_log_without_a_hit_is_named(tmp_path: Path) -> None:
-    blind = [
-        replace(item, scan=replace(item.scan, ranges=np.full_like(item.scan.ranges, np.inf)))
-        for item in drive(20)[0]
-    ]
-    write_carmen(tmp_path / "drive.log", blind)
+    write_carmen(tmp_path / "drive.log", unseeing(drive(20)[0]))
     assert (
         "no beam of it hits anything: no SLAM can map it"
         in describe(tmp_path / "drive.log").remarks

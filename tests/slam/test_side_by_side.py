@@ -22,6 +22,7 @@ from slamfusion.slam.common.runner import run_producer
 from slamfusion.slam.registry import make_producer, with_settings
 from slamfusion.slam.side_by_side import Outcome, SideBySide
 from tests.slam.drives import drive
+from tests.support.producers import unseeing
 
 pytestmark = pytest.mark.once
 
@@ -123,11 +124,7 @@ def test_the_longest_job_starts_first_and_no_more_run_than_may(log: Path) -> Non
 
 
 def test_what_cannot_be_mapped_is_said(log: Path, tmp_path: Path) -> None:
-    blind = [
-        replace(item, scan=replace(item.scan, ranges=np.full(len(item.scan), np.inf)))
-        for item in drive(3)[0]
-    ]
-    write_carmen(tmp_path / "blind.log", blind)
+    write_carmen(tmp_path / "blind.log", unseeing(drive(3)[0]))
     crossed_often = with_settings(CONFIG, "graph", min_pass_through=1000)
     for source, config, reason in (
         (tmp_path / "blind.log", CONFIG, "graph could use none of 3 scans"),

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -130,14 +131,17 @@ def room_scan(pose: Pose2, stamp_s: float, half_m: float = 3.0) -> LaserScan:
     return LaserScan(stamp_s, ranges, -math.pi, 2.0 * math.pi / BEAMS, 0.05, 30.0)
 
 
-def room_drive(count: int, *, blind: bool = False) -> list[LogScan]:
-    """A slow drive along x in that room, 0.05 m a scan; blind: no beam ever comes back."""
-    scans = []
-    for index in range(count):
-        pose = Pose2(0.05 * index - 0.5, 0.1, 0.02 * index)
-        scan = room_scan(pose, 0.1 * index)
-        if blind:
-            nothing = np.full(BEAMS, np.inf, dtype=np.float32)
-            scan = LaserScan(0.1 * index, nothing, -math.pi, 2.0 * math.pi / BEAMS, 0.05, 30.0)
-        scans.append(LogScan(scan, pose, index + 1))
-    return scans
+def room_drive(count: int) -> list[LogScan]:
+    """A slow drive along x in that room, 0.05 m a scan."""
+    poses = [Pose2(0.05 * index - 0.5, 0.1, 0.02 * index) for index in range(count)]
+    return [
+        LogScan(room_scan(pose, 0.1 * index), pose, index + 1) for index, pose in enumerate(poses)
+    ]
+
+
+def unseeing(scans: Iterable[LogScan]) -> list[LogScan]:
+    """The same scans, from which no beam comes back."""
+    return [
+        replace(item, scan=replace(item.scan, ranges=np.full_like(item.scan.ranges, np.inf)))
+        for item in scans
+    ]

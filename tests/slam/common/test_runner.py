@@ -11,7 +11,7 @@ from slamfusion.errors import SlamFusionError
 from slamfusion.io import open_log, write_carmen
 from slamfusion.io.log import LogScan
 from slamfusion.slam.common.runner import run_producer
-from tests.support.producers import DeadReckoning, ListLog, ResumableReckoning, room_drive
+from tests.support.producers import DeadReckoning, ListLog, ResumableReckoning, room_drive, unseeing
 from tests.test_deskew import sweeps
 
 
@@ -32,7 +32,7 @@ def test_a_run_counts_what_it_did() -> None:
 
 
 def test_no_usable_scan_is_one_line_with_the_reasons() -> None:
-    log = ListLog(room_drive(4, blind=True))
+    log = ListLog(unseeing(room_drive(4)))
     log.skips.add("cut-off line", 17)
     with pytest.raises(SlamFusionError) as caught:
         run_producer(DeadReckoning(), log, log=log)
@@ -104,7 +104,7 @@ def test_a_log_that_is_known_already_is_one_line() -> None:
 
 def test_many_blind_scans_are_a_doubt() -> None:
     scans = room_drive(10)
-    blind = room_drive(14, blind=True)[10:]
+    blind = unseeing(room_drive(14)[10:])
     run = run_producer(DeadReckoning(), scans + blind)
     (sentence,) = run.warnings
     assert "4 of 14 scans could not be used" in sentence

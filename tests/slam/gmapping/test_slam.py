@@ -25,6 +25,7 @@ from slamfusion.slam.gmapping.particles import ParticleMaps, beams_of
 from slamfusion.slam.gmapping.slam import Gmapping
 from tests.slam.drives import drive, scan_at, true_poses
 from tests.slam.places import errors, feed
+from tests.support.producers import unseeing
 from tests.support.score_fields import score_field_of
 
 pytestmark = pytest.mark.once
@@ -94,7 +95,8 @@ def test_what_is_expected_where_neither_odometry_nor_the_scan_tells(
     scans, truth = drive(30)
     slam = run(device, scans, odometry="none", expectation=expectation, linearUpdate=100.0)
     before, last = (slam.trajectory().pose(index) for index in (28, 29))
-    found = slam.feed(blind_scan(scans[-1].scan.stamp_s + 0.1)).pose_map_base
+    (blind,) = unseeing(scans[-1:])
+    found = slam.feed(replace(blind.scan, stamp_s=blind.scan.stamp_s + 0.1)).pose_map_base
     step = before.inverse().compose(last)
     wanted = last.compose(Pose2(*(onward * part for part in (step.x, step.y, step.yaw_rad))))
     assert (found.x, found.y) == pytest.approx((wanted.x, wanted.y), abs=1e-9)
@@ -103,10 +105,6 @@ def test_what_is_expected_where_neither_odometry_nor_the_scan_tells(
 
 
 # -- scans that tell nothing, or too little --------------------------------------------------------
-
-
-def blind_scan(stamp_s: float, value: float = np.inf) -> LaserScan:
-    return LaserScan(stamp_s, np.full(7, value), 0.0, 0.1, 0.0, 8.0)
 
 
 def test_a_match_below_the_least_score_is_not_believed(device: ComputeDevice):
