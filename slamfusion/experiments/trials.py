@@ -249,7 +249,7 @@ def measure_trial(
         name: fusions.against_truth(grid, truth, config, device, same_heading=True)
         for name, grid in made.maps.items()
     }
-    ate_m = made.path_errors(_true_path(recording, seen))
+    ate_m = made.path_errors(true_path(recording, seen))
     faces = {name: item.faces.f1(FACES_M) or 0.0 for name, item in found.items()}
     figures: dict[str, dict[str, float]] = {
         name: {"error": item.error, "wall_f1": item.wall_f1 or 0.0, "faces_f1": faces[name]}
@@ -288,7 +288,7 @@ def _best(
     return found
 
 
-def _true_path(recording: Recording, scans: Sequence[LogScan]) -> Trajectory:
+def true_path(recording: Recording, scans: Sequence[LogScan]) -> Trajectory:
     """Return the true poses of the remaining scans, which may have other stamps."""
     rows = {item.line: row for row, item in enumerate(recording.scans)}
     stamps_s = np.array([item.scan.stamp_s for item in scans])

@@ -15,7 +15,8 @@ from tempfile import TemporaryDirectory
 from rich.progress import track
 from rich.table import Table
 
-from tests.benchmarks.bench_modes import PRODUCERS, slamfusion
+from slamfusion.slam.registry import BUILT_IN
+from tests.benchmarks.bench_modes import slamfusion
 from tests.benchmarks.record import bench_parser, console_for
 
 
@@ -24,7 +25,7 @@ def figures(log: Path, truth: Path, out: Path, deskew: str) -> list[str]:
     held = ("--truth", truth / "truth.tum", "--truth-map", truth / "truth.yaml")
     made = [
         slamfusion("slam", name, log, *held, "--deskew", deskew, "-o", out / name)["producers"][0]
-        for name in PRODUCERS
+        for name in BUILT_IN
     ]
     return [
         *(f"{item['ate']['rmse']:.3f}" for item in made),

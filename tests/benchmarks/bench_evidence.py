@@ -24,9 +24,11 @@ import math
 import pickle
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
+import scipy
 from rich.table import Table
 
 from slamfusion.compute import ComputeDevice, open_device
@@ -38,7 +40,7 @@ from slamfusion.evidence.parting import PART_M
 from slamfusion.evidence.predictive import score_paths
 from slamfusion.evidence.recommendation import choose_path
 from slamfusion.experiments.fusions import produce_maps
-from slamfusion.experiments.trials import FAILURES, FAULTS, Trial, failure_trials
+from slamfusion.experiments.trials import FAILURES, FAULTS, Trial, failure_trials, true_path
 from slamfusion.geometry import F64, compose_poses, invert_poses
 from slamfusion.io import LogScan, read_trajectory, write_tum
 from slamfusion.jobs.fused_path import fuse_weighed_paths
@@ -114,13 +116,8 @@ def make_drive(trial: Trial, folder: Path, device: ComputeDevice) -> Path:
         faulty = FAULTS[trial.fault](scans)
     truth = recording.truth
     if not trial.harmed:
-        # A kidnapping cuts out a part; the lines say which scans stayed.
-        stayed = [item.line for item in faulty]
-        index = {item.line: number for number, item in enumerate(scans)}
-        rows = [index[line] for line in stayed]
-        stamps_s = np.array([item.scan.stamp_s for item in faulty])
-        truth = Trajectory(stamps_s, truth.poses[rows], "truth")
-        scans = faulty
+        # A kidnapping cuts out a part.
+        truth, scans = true_path(recording, faulty), faulty
     fed = {name: faulty if trial.harmed in {"", name} else scans for name in BUILT_IN}
     made = produce_maps(fed, RunConfig(seed=trial.course.seed), device)
     (target / "scans.pickle").write_bytes(pickle.dumps(scans))
@@ -284,13 +281,11 @@ def judge_drive(folder: Path, device: ComputeDevice) -> Iterator[Found]:
             ate_m,
             taken,
         )
-        names = list(parts)
-        for number, a in enumerate(names):
-            for b in names[number + 1 :]:
-                verdict = evidence.compare(a, b).verdict
-                if verdict != "cannot tell":
-                    best = a if verdict == "better" else b
-                    found.pairs.append((best, min((a, b), key=ate_m.__getitem__)))
+        for a, b in itertools.combinations(parts, 2):
+            verdict = evidence.compare(a, b).verdict
+            if verdict != "cannot tell":
+                best = a if verdict == "better" else b
+                found.pairs.append((best, min((a, b), key=ate_m.__getitem__)))
         yield found
 
 
@@ -307,14 +302,6 @@ def clustered(ratios: F64, clusters: Sequence[str], statistic: Callable[[F64], f
     ]
     low, high = np.quantile(drawn, (0.025, 0.975))
     return f"{statistic(ratios):.3f} [{low:.3f}, {high:.3f}]"
-
-
-def geometric_mean(ratios: F64) -> float:
-    return float(np.exp(np.log(ratios).mean()))
-
-
-def ninetieth(ratios: F64) -> float:
-    return float(np.quantile(ratios, 0.9))
 
 
 def print_validity(found: Sequence[Found], record: Path | None) -> None:
@@ -362,7 +349,10 @@ def print_choice(name: str, record: Path | None, found: Sequence[Found], title: 
     for choice, ratios in rows.items():
         has = np.isfinite(ratios)
         own = [cluster for cluster, one in zip(clusters, has, strict=True) if one]
-        words = [clustered(ratios[has], own, of) for of in (geometric_mean, ninetieth)]
+        words = [
+            clustered(ratios[has], own, of)
+            for of in (scipy.stats.gmean, partial(np.quantile, q=0.9))
+        ]
         table.add_row(choice, *words, f"{ratios[has].max():.2f}")
     console_for(name, record, width=110).print(table)
 

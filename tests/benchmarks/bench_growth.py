@@ -211,9 +211,8 @@ def main() -> None:
     parser.add_argument("--part", choices=tuple(PARTS), action="append", help="default: all")
     parser.add_argument("--runs", type=int, default=1)
     asked = parser.parse_args()
-    table = Table(title="growth")
-    for name in ("work", "size", "sizes", "CPU s", "power", "peak MiB", "power", "command alone"):
-        table.add_column(name)
+    columns = ("work", "size", "sizes", "CPU s", "power", "peak MiB", "power", "command alone")
+    table = Table(*columns, title="growth")
     for part in asked.part or PARTS:
         with tempfile.TemporaryDirectory() as name:
             # A peak of memory counts what the parent held when it started the process.

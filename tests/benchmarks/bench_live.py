@@ -27,20 +27,19 @@ from rich.table import Table
 from slamfusion.compute import open_device
 from slamfusion.config import RunConfig
 from slamfusion.fusion.live import LiveFusion, LiveUpdate
-from slamfusion.geometry import Pose2
-from slamfusion.grid import UNKNOWN, OccupancyGrid
+from slamfusion.grid import UNKNOWN, CellBox, OccupancyGrid
 from slamfusion.sim import draw_building
+from slamfusion.slam.registry import BUILT_IN
 from tests.benchmarks.live_drives import CASES, drive_table
 from tests.benchmarks.record import bench_parser, console_for
 from tests.support.degrade import Degradation, degrade_map
 
 RESOLUTION = 0.05
 WINDOW_M = 20.0
-NAMES = ("tinyslam", "gmapping", "graph")
 Maps = dict[str, OccupancyGrid]
 
 
-def draw_maps(side: int, names: Sequence[str] = NAMES) -> Maps:
+def draw_maps(side: int, names: Sequence[str] = BUILT_IN) -> Maps:
     """Return faulty maps of one building, three unless named, a frame each."""
     rng = np.random.default_rng(2016)
     truth = draw_building(rng, side * RESOLUTION, side * RESOLUTION, RESOLUTION)
@@ -51,10 +50,8 @@ def draw_maps(side: int, names: Sequence[str] = NAMES) -> Maps:
         )
         grid, _ = degrade_map(truth, rng, faults)
         row, col = max(0, grid.height - side) // 2, max(0, grid.width - side) // 2
-        cells = np.ascontiguousarray(grid.cells[row : row + side, col : col + side])
-        x, y = grid.origin.transform((col * RESOLUTION, row * RESOLUTION))
-        origin = Pose2(float(x), float(y), grid.origin.yaw_rad)
-        maps[name] = OccupancyGrid(cells, RESOLUTION, origin, name)
+        box = CellBox(row, col, min(row + side, grid.height), min(col + side, grid.width))
+        maps[name] = grid.crop(box).with_name(name)
     return maps
 
 

@@ -21,10 +21,10 @@ from typing import Any
 from rich.progress import track
 from rich.table import Table
 
+from slamfusion.slam.registry import BUILT_IN
 from tests.benchmarks.record import bench_parser, console_for
 
 COURSES = ("office", "hall", "corridor")
-PRODUCERS = ("tinyslam", "gmapping", "graph")
 TRUTHS = {"solid": "truth.yaml", "thin": "truth_thin.yaml"}
 MODES = ("consensus", "majority")
 
@@ -42,7 +42,7 @@ def errors_on(course: str, seed: int, folder: Path) -> dict[str, dict[str, float
     drive, made = folder / "drive", folder / "run"
     slamfusion("simulate", course, "--lidar", "hokuyo", "--seed", str(seed), "-o", drive)
     slamfusion("run", drive / f"{course}.log.gz", "-o", made)
-    maps = [made / f"{name}.yaml" for name in PRODUCERS]
+    maps = [made / f"{name}.yaml" for name in BUILT_IN]
     for mode in MODES:
         vote = ("--shared-frame", "--mode", mode)
         slamfusion("fuse", *maps, *vote, "-o", folder / mode)

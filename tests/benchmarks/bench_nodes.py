@@ -42,14 +42,13 @@ from slamfusion.ros import messages
 from slamfusion.ros.base import STARTED_VARIABLE
 from slamfusion.sim.courses import named_course, with_overrides
 from slamfusion.sim.simulate import Recording, simulate
-from slamfusion.slam.registry import make_producer
+from slamfusion.slam.registry import BUILT_IN, make_producer
 from slamfusion.trajectory import Trajectory
 from tests.benchmarks.bench_hours import pocl_alone
 from tests.benchmarks.record import bench_parser, console_for
 from tests.ros.drives import as_sent
 from tests.ros.live import Observer, Process, Processes, free_domain, ros_environment, values
 
-PRODUCERS = ("tinyslam", "gmapping", "graph")
 RATE_HZ = 10.0
 SAMPLE_S = 5.0
 # Threads with a smaller share, percent of a core, are left out.
@@ -175,9 +174,9 @@ def play(log: Path, folder: Path, seconds: float) -> tuple[dict[str, Watch], dic
         Processes(ros_environment(domain) | pocl_alone(), folder) as run,
         Observer(domain) as observer,
     ):
-        poses = {kind: observer.collect(PoseStamped, f"{kind}/pose") for kind in PRODUCERS}
-        watches = {kind: started(run, kind, folder) for kind in ("fusion", *PRODUCERS)}
-        player = run.node("player", file=str(log), wait_for=list(PRODUCERS))
+        poses = {kind: observer.collect(PoseStamped, f"{kind}/pose") for kind in BUILT_IN}
+        watches = {kind: started(run, kind, folder) for kind in ("fusion", *BUILT_IN)}
+        player = run.node("player", file=str(log), wait_for=list(BUILT_IN))
         observer.wait(lambda: all(poses.values()), 120.0, "the first poses")
         for watch in watches.values():
             watch.begin()
@@ -203,14 +202,13 @@ def memory_cells(memory_mb: npt.ArrayLike) -> list[str]:
 
 def table_of(watches: dict[str, Watch], online: dict[str, str], alone: dict[str, str]) -> Table:
     """Return the table, a row for each node."""
-    table = Table(title=f"{os.cpu_count()} cores, load {os.getloadavg()[1]:.1f} over five minutes")
     columns = (
         "node", "error cm: live", "offline", "fed", "dropped", "longest queue",
         "latency ms: median", "p95", "worst p95", "ready s: wall / CPU", *MEMORY, "CPU %",
         "its threads",
     )  # fmt: skip
-    for column in columns:
-        table.add_column(column)
+    title = f"{os.cpu_count()} cores, load {os.getloadavg()[1]:.1f} over five minutes"
+    table = Table(*columns, title=title)
     for name, watch in watches.items():
         told = watch.figures
         shares = watch.shares()
@@ -258,7 +256,7 @@ def main() -> None:
         sent = list(as_sent(open_log(log)))
     truth = recording.truth
     online = {kind: error_cm(path, truth) for kind, path in told.items()}
-    alone = {kind: error_cm(offline(kind, sent), truth) for kind in PRODUCERS}
+    alone = {kind: error_cm(offline(kind, sent), truth) for kind in BUILT_IN}
     console_for("nodes", options.record, width=200).print(table_of(watches, online, alone))
 
 
