@@ -638,23 +638,16 @@ def _check_saving(grid: OccupancyGrid, stem: Path, rules: Rules, image_format: s
 
 
 def _yaml_text(grid: OccupancyGrid, image_name: str, rules: Rules, digest: str) -> str:
-    origin = (grid.origin.x, grid.origin.y, grid.origin.yaw_rad)
-    image = yaml.safe_dump({"image": image_name}, allow_unicode=True, width=math.inf)
-    return (
-        f"{image}"
-        f"mode: {rules.mode}\n"
-        f"resolution: {_yaml_number(grid.resolution)}\n"
-        f"origin: [{', '.join(_yaml_number(value) for value in origin)}]\n"
-        "negate: 0\n"
-        f"occupied_thresh: {_yaml_number(rules.occupied_thresh)}\n"
-        f"free_thresh: {_yaml_number(rules.free_thresh)}\n"
-        f"{DIGEST}: {digest}\n"
+    values = {
+        "image": image_name,
+        "mode": rules.mode,
+        "resolution": float(grid.resolution),
+        "origin": [float(part) for part in (grid.origin.x, grid.origin.y, grid.origin.yaw_rad)],
+        "negate": 0,
+        "occupied_thresh": float(rules.occupied_thresh),
+        "free_thresh": float(rules.free_thresh),
+        DIGEST: digest,
+    }
+    return yaml.safe_dump(
+        values, allow_unicode=True, width=math.inf, sort_keys=False, default_flow_style=None
     )
-
-
-def _yaml_number(value: float) -> str:
-    """Return the shortest decimal that reads back as the same number (YAML 1.1 needs a point)."""
-    text = repr(float(value))
-    if "e" in text and "." not in text:
-        text = text.replace("e", ".0e")
-    return text
