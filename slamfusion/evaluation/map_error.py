@@ -170,7 +170,10 @@ def compare_to_truth(
         seen = np.full_like(truth.cells, UNKNOWN)
         seen[box.row0 : box.row1, box.col0 : box.col1] = expected
         truth = replace(truth, cells=seen)
-    confusion = _confusion(expected, found)
+    # The pairs of classes -1, 0, 1 of truth T and map M, counted; [F16]: sqrt(sum((T - M)^2)).
+    codes = (expected + 1) * 3 + (found + 1)
+    confusion = np.bincount(codes.ravel().view(np.uint8), minlength=9).reshape(3, 3)
+    squares = np.square(np.subtract.outer(range(3), range(3)))
     difference = _DIFFERENCE[expected + 1, found + 1]
     difference.flags.writeable = False
 
@@ -182,7 +185,7 @@ def compare_to_truth(
     return MapError(
         name=grid.name,
         truth=truth.name,
-        error=_f16_error(confusion),
+        error=math.sqrt(int((confusion * squares).sum())),
         cells=difference.size,
         confusion={
             truth_class: dict(zip(CLASS_NAMES, row, strict=True))
@@ -226,21 +229,6 @@ def _within(mask: B8, cells: float) -> B8:
         return mask
     away = cv2.distanceTransform((~mask).view(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
     return np.asarray(away <= cells + 1e-3)
-
-
-def _confusion(expected: I8, found: I8) -> I64:
-    """Count the (truth, map) pairs of classes -1, 0, 1 into a (3, 3) table, read-only."""
-    codes = (expected + 1) * 3 + (found + 1)
-    table = np.bincount(codes.ravel().view(np.uint8), minlength=9).reshape(3, 3).astype(np.int64)
-    table.flags.writeable = False
-    return table
-
-
-def _f16_error(confusion: I64) -> float:
-    """Return sqrt(sum((T - M)^2)), from the confusion table."""
-    classes = np.arange(3)
-    squares = (classes[:, None] - classes[None, :]) ** 2
-    return math.sqrt(int((confusion * squares).sum()))
 
 
 def _intersection_over_union(confusion: I64, index: int) -> float | None:
