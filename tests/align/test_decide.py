@@ -27,6 +27,8 @@ from tests.support.examples import examples
 
 STATISTICS = {"explained": 0.3, "explained_by_chance": 0.2, "overlap": 1.0}
 RIVAL = "at 1.00, 2.00 m, 90 deg"
+AGAINST: dict[Hypothesis, float] = {"no relation": 30.0}
+GOOD = Answer("good", np.zeros(3), np.zeros((0, 3)), AGAINST, 20.0, 0.0, 0.9, 40.0, (1.0, 0.002))
 
 
 def evidence(**changes: Any) -> MatchEvidence:
@@ -163,10 +165,7 @@ def test_an_image_that_fits_better_never_helps(
 
 
 def test_an_image_that_fits_as_well_leaves_nothing_of_a_lead() -> None:
-    against: dict[Hypothesis, float] = {"no relation": 30.0, "another pose": 8.0}
-    good = Answer(
-        "good", np.zeros(3), np.zeros((0, 3)), against, 20.0, 0.0, 0.9, 40.0, (1.0, 0.002)
-    )
+    good = replace(GOOD, against={**AGAINST, "another pose": 8.0})
     leads = [
         good.compared_with_image(r, is_chance=True).against["its mirror image"]
         for r in (0.4, 0.75, 1.5)
@@ -178,17 +177,13 @@ def test_an_image_that_fits_as_well_leaves_nothing_of_a_lead() -> None:
 
 
 def test_maps_that_leave_walls_unexplained_are_not_read_as_good() -> None:
-    against: dict[Hypothesis, float] = {"no relation": 30.0}
-    good = Answer(
-        "good", np.zeros(3), np.zeros((0, 3)), against, 20.0, 0.0, 0.9, 40.0, (1.0, 0.002)
-    )
-    assert good.is_accepted
-    assert not replace(good, share=0.84).is_accepted
+    assert GOOD.is_accepted
+    assert not replace(GOOD, share=0.84).is_accepted
     # A score is no more than the evidence itself, however many pieces agree.
-    assert not replace(good, total=1.7).is_accepted
+    assert not replace(GOOD, total=1.7).is_accepted
     # A piece of maps of two times counts at most once.
     assert not replace(
-        good, reading="changed", share=0.99, against={"no relation": 5.9}
+        GOOD, reading="changed", share=0.99, against={"no relation": 5.9}
     ).is_accepted
-    assert not replace(good, reading="bent").is_accepted
-    assert replace(good, reading="bent", hit=0.5).is_accepted
+    assert not replace(GOOD, reading="bent").is_accepted
+    assert replace(GOOD, reading="bent", hit=0.5).is_accepted

@@ -10,9 +10,8 @@ import pytest
 from slamfusion.io import read_trajectory, write_carmen
 from slamfusion.io.log import LogScan
 from tests.cli.command import assert_one_line_failure, json_of, run, tree
+from tests.cli.run_folder import SUFFIXES
 from tests.support.producers import room_drive, unseeing
-
-SUFFIXES = (".json", ".pgm", ".tum", ".yaml")
 
 
 def write_log(path: Path, scans: Sequence[LogScan]) -> Path:
