@@ -25,8 +25,8 @@ from matplotlib.transforms import Affine2D, Bbox  # noqa: TID251
 from slamfusion import palette
 from slamfusion.config import PICTURE_FORMS
 from slamfusion.errors import SlamFusionError
-from slamfusion.geometry import B8, F64, I8, U8, Pose2
-from slamfusion.grid import CellBox, ClassifiedGrid, box_origin
+from slamfusion.geometry import F64, I8, U8, Pose2
+from slamfusion.grid import CellBox, ClassifiedGrid, box_origin, known_box
 
 # Cells as -1 unknown, 0 free, 1 wall.
 Classes = I8
@@ -258,16 +258,10 @@ def _draw_scale(axes: Axes) -> None:
     axes.text(x + 0.5 * length, up, f"{length:g} m", ha="center", va="bottom", **look)
 
 
-def crop_box(shown: B8) -> CellBox:
-    """Return the box of the cells to show with a small margin; the whole map when none is."""
-    rows, cols = np.flatnonzero(shown.any(axis=1)), np.flatnonzero(shown.any(axis=0))
-    if rows.size == 0:
-        return CellBox(0, 0, shown.shape[0], shown.shape[1])
-    first, last = (rows[0], cols[0]), (rows[-1], cols[-1])
-    return CellBox(
-        *(int(place) - _MARGIN_CELLS for place in first),
-        *(int(place) + 1 + _MARGIN_CELLS for place in last),
-    )
+def crop_box(cells: I8) -> CellBox:
+    """Return the box of the known cells with a small margin; the whole map when none is."""
+    box = known_box(cells)
+    return CellBox(0, 0, *cells.shape) if box is None else box.padded(_MARGIN_CELLS)
 
 
 def shown_cells(
@@ -286,7 +280,7 @@ def shown_cells(
     Returns:
         (h, w) int8, metres per pixel, and the pose of the lower-left corner of pixel [0, 0].
     """
-    box = box or crop_box(codes != -1)
+    box = box or crop_box(codes)
     longest = _LONGEST_SIDE_TURNED if origin.yaw_rad else _LONGEST_SIDE_CELLS
     factor = max(1, math.ceil(max(box.shape) / longest))
     cut = box.cut(codes, CellBox(0, 0, *codes.shape), -1)
@@ -326,7 +320,7 @@ def place_extent(poses: F64, grid: ClassifiedGrid | None) -> Bbox:
     """Return the box of poses, (N, 3) x, y, yaw, and of what the map knows, where there is one."""
     if grid is None:
         return box_of(poses)
-    box = crop_box(grid.cells != -1)
+    box = crop_box(grid.cells)
     corner = box_origin(grid.origin, grid.resolution, box)
     return grown(box_of(poses), cells_extent(box.shape, grid.resolution, corner))
 

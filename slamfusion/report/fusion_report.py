@@ -139,10 +139,10 @@ def group_sections(result: FusionResult) -> list[page.Section]:
 
 def _shown_box(result: FusionResult) -> CellBox:
     """Return what any voter knows: one crop for all pictures on the fused lattice."""
-    shown = (result.fused.cells != -1) | (result.agreement.cells != -1)
+    shown = np.maximum(result.fused.cells, result.agreement.cells)
     for record in result.accepted:
         if record.aligned is not None:
-            shown = shown | (record.aligned != -1)
+            shown = np.maximum(shown, record.aligned)
     return crop_box(shown)
 
 

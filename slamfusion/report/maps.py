@@ -90,7 +90,7 @@ def overlay_picture(
     A wall in one map has that map's colour, in several a darker one, in all the colour of walls.
     The more maps know another cell, the whiter it is. See ``map_picture``.
     """
-    box = box or canvas.crop_box(np.any([layer != -1 for layer in layers], axis=0))
+    box = box or canvas.crop_box(np.max(layers, axis=0))
     shown = [canvas.shown_cells(layer, resolution, origin, box) for layer in layers]
     return _cells_figure(overlay_rgb([cells for cells, _, _ in shown], colours), *shown[0][1:])
 
