@@ -23,6 +23,7 @@ from slamfusion.geometry import B8, F64, U8, Pose2
 from slamfusion.grid import CellBox, ClassifiedGrid, OccupancyGrid, box_origin
 from slamfusion.report import canvas
 from slamfusion.report.page import Picture, Section, tables
+from slamfusion.vote.lattice import Lattice
 from slamfusion.web.scene import layer_name
 
 # In the order of visibility when cells are pooled: the last wins.
@@ -211,15 +212,8 @@ def pair_overlay(
     own, other = reference.known_box, moving.known_box
     if own is None or other is None:
         return None
-    corners = [(col, row) for row in (other.row0, other.row1) for col in (other.col0, other.col1)]
-    points = moving.origin.transform(moving.resolution * np.array(corners, dtype=np.float64))
-    rows, cols = reference.cell_indices(alignment.transform.transform(points))
-    box = CellBox(
-        min(own.row0, int(rows.min())),
-        min(own.col0, int(cols.min())),
-        max(own.row1, int(rows.max()) + 1),
-        max(own.col1, int(cols.max()) + 1),
-    )
+    lattice, moved = (Lattice(grid.resolution, grid.origin) for grid in (reference, moving))
+    box = own.hull(lattice.box_of(other, moved, alignment.transform))
     if box.area > _OVERLAY_CELLS:
         return None
     layers = [
