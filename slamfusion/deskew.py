@@ -342,8 +342,8 @@ class _Surfaces(NamedTuple):
         """Return the surfaces of hits (M, 2) in the order of the beams, or None."""
         along = ends[2:] - ends[:-2]
         length = np.hypot(*along.T)
-        is_one = (length > 0.0) & (np.hypot(*np.diff(ends, axis=0).T) < SURFACE_M)[1:]
-        is_one &= (np.hypot(*np.diff(ends, axis=0).T) < SURFACE_M)[:-1]
+        is_near = np.hypot(*np.diff(ends, axis=0).T) < SURFACE_M
+        is_one = (length > 0.0) & is_near[1:] & is_near[:-1]
         if not is_one.any():
             return None
         along, points = along[is_one] / length[is_one, None], ends[1:-1][is_one]

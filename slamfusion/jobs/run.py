@@ -425,14 +425,12 @@ def _recommend(
         slams = tuple(name for name in paths if name not in blank)
         found = recommend(evidence, slams, fused=FUSED, frames=every)
         is_one_map = found.path == FUSED or (is_fused and fused_path is None)
-        found = replace(found, use=FUSED if is_one_map else found.path)
-    elif (use := FUSED if is_fused else fallback) is not None:
-        path = FUSED if fused_path is not None else fallback if fallback in paths else None
-        fault = laser_fault(wheels, every.get(path or ""))
-        found = Recommendation(use, path, fallback, laser_fault=fault)
-    else:
+        return replace(found, use=FUSED if is_one_map else found.path)
+    if (use := FUSED if is_fused else fallback) is None:
         return None
-    return found
+    path = FUSED if fused_path is not None else fallback if fallback in paths else None
+    fault = laser_fault(wheels, every.get(path or ""))
+    return Recommendation(use, path, fallback, laser_fault=fault)
 
 
 def voting_config(config: RunConfig) -> RunConfig:

@@ -243,8 +243,8 @@ def _slanted_wall(canvas: Canvas, room: Rect) -> None:
     distance = (1 - x / reach_x - y / reach_y) / np.hypot(1 / reach_x, 1 / reach_y)
     behind = inside & (distance > canvas.wall_m) & (canvas.cells != OCCUPIED)
     canvas.cells[behind] = UNKNOWN
-    canvas.cells[inside & (np.abs(distance) <= canvas.wall_m / 2)] = OCCUPIED
-    canvas.cells[inside & (distance > 0) & (distance <= canvas.wall_m)] = OCCUPIED
+    is_wall = (distance >= -canvas.wall_m / 2) & (distance <= canvas.wall_m)
+    canvas.cells[inside & is_wall] = OCCUPIED
 
 
 def _cut_corner(rng: np.random.Generator, canvas: Canvas, room: Rect) -> None:
