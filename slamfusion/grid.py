@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from slamfusion.config import YAW_MOST_RAD, NormalizeConfig
 from slamfusion.errors import GridError
-from slamfusion.geometry import F64, I8, I64, Pose2, Scalar
+from slamfusion.geometry import B8, F64, I8, I64, Pose2, Scalar
 
 FREE = 0
 OCCUPIED = 100
@@ -176,6 +176,17 @@ def known_box(cells: I8) -> CellBox | None:
     if rows.size == 0:
         return None
     return CellBox(int(rows[0]), int(cols[0]), int(rows[-1]) + 1, int(cols[-1]) + 1)
+
+
+def face_cells(cells: I8) -> B8:
+    """Mark the faces of walls, (H, W) bool: occupied cells that share a side with a free one.
+
+    Args:
+        cells: (H, W) int8, -1 unknown, 0 free, all others occupied.
+    """
+    free = np.pad(cells == FREE, 1)
+    beside = free[:-2, 1:-1] | free[2:, 1:-1] | free[1:-1, :-2] | free[1:-1, 2:]
+    return np.asarray((cells > FREE) & beside)
 
 
 def trinary_cells(cells: I8, thresholds: NormalizeConfig) -> I8:

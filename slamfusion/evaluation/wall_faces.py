@@ -16,8 +16,8 @@ import scipy
 
 from slamfusion.compute.lattice import cells_at
 from slamfusion.evaluation.distances import wall_centres
-from slamfusion.geometry import B8, F64, I8, Pose2
-from slamfusion.grid import UNKNOWN, ClassifiedGrid
+from slamfusion.geometry import B8, F64, Pose2
+from slamfusion.grid import UNKNOWN, ClassifiedGrid, face_cells
 
 # A wall exactly the tolerance away counts, whatever the rounding of the poses.
 _TOLERANCE_SLACK_M = 1e-6
@@ -38,7 +38,7 @@ class WallDistance:
 # Tolerances of faces, metres: a cell of usual maps, two cells, and a robot's safety margin.
 FACE_TOLERANCES_M = (0.05, 0.1, 0.2)
 
-_FREE, _WALL = 0, 1
+_WALL = 1
 # Steps along rows, columns and both diagonals, with their length in cells.
 _DIRECTIONS = ((0, 1, 1.0), (1, 0, 1.0), (1, 1, math.sqrt(2.0)), (1, -1, math.sqrt(2.0)))
 
@@ -124,17 +124,6 @@ class WallThickness:
     """The middle one, metres."""
     p95: float
     """95th percentile, metres."""
-
-
-def face_cells(classes: I8) -> B8:
-    """Mark the faces of walls, (H, W) bool: occupied cells that share a side with a free one.
-
-    Args:
-        classes: (H, W) int8 in {-1, 0, 1}.
-    """
-    free = np.pad(classes == _FREE, 1)
-    beside = free[:-2, 1:-1] | free[2:, 1:-1] | free[1:-1, :-2] | free[1:-1, 2:]
-    return np.asarray((classes == _WALL) & beside)
 
 
 def compare_faces(grid: ClassifiedGrid, truth: ClassifiedGrid, transform: Pose2) -> WallFaces:

@@ -13,7 +13,7 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.compute.layout import GLASS, OPEN, WALL
 from slamfusion.config import LidarConfig, ObstacleConfig, PersonConfig
 from slamfusion.geometry import B8, F32, F64, U8, Pose2, compose_poses
-from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
+from slamfusion.grid import OCCUPIED, UNKNOWN, OccupancyGrid, face_cells
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,9 +45,7 @@ def thin_walls(truth: OccupancyGrid) -> OccupancyGrid:
     An occupied cell stays if it shares a side with a free cell; other occupied cells become
     unknown.
     """
-    free = np.pad(truth.cells == FREE, 1)
-    next_to_free = free[:-2, 1:-1] | free[2:, 1:-1] | free[1:-1, :-2] | free[1:-1, 2:]
-    is_inside = (truth.cells == OCCUPIED) & ~next_to_free
+    is_inside = (truth.cells == OCCUPIED) & ~face_cells(truth.cells)
     cells = np.where(is_inside, np.int8(UNKNOWN), truth.cells)
     return OccupancyGrid(cells, truth.resolution, truth.origin, truth.name)
 

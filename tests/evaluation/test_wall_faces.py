@@ -13,9 +13,9 @@ from hypothesis.extra import numpy as hnp
 
 from slamfusion.config import EvaluateConfig, NormalizeConfig, RunConfig
 from slamfusion.evaluation.map_error import MapError, compare_to_truth
-from slamfusion.evaluation.wall_faces import face_cells, outside_area, wall_thickness
+from slamfusion.evaluation.wall_faces import outside_area, wall_thickness
 from slamfusion.geometry import Pose2
-from slamfusion.grid import IDENTITY, OccupancyGrid
+from slamfusion.grid import IDENTITY, OccupancyGrid, face_cells
 from tests.evaluation import drawings
 from tests.support.examples import examples
 

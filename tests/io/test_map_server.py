@@ -20,9 +20,8 @@ from hypothesis import strategies as st
 
 from slamfusion.config import NormalizeConfig
 from slamfusion.errors import MapFileError, MemoryBudgetError, SlamFusionError
-from slamfusion.evaluation.wall_faces import face_cells
 from slamfusion.geometry import Pose2
-from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid, trinary_cells
+from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid, face_cells, trinary_cells
 from slamfusion.io import files, images, load_map, save_map
 from tests.io.pictures import bmp24, chunk, pgm, png, write_map
 from tests.support.datasets import load_entry, map_entries
