@@ -31,7 +31,7 @@ from slamfusion.align.decide import (
 )
 from slamfusion.align.features import spread_sample
 from slamfusion.align.likelihood import likeness
-from slamfusion.align.pair import Pair, displacement
+from slamfusion.align.pair import Pair, displacement, turned_about
 from slamfusion.align.refine import common_walls, narrow_fits
 from slamfusion.align.scores import SCORED_POINTS, WallPieces, score_motions, wall_pieces
 from slamfusion.align.search import SearchResult, search
@@ -402,12 +402,8 @@ def _scaled(pair: Pair, motion: F64, reading: Reading) -> tuple[F64, float]:
             break
         grid = np.meshgrid(scale + offsets, turns, sigma * steps, sigma * steps, indexing="ij")
         scales, turn, dy, dx = (axis.ravel() for axis in grid)
-        cos, sin = np.array((np.cos(turn), np.sin(turn))) * (scales / scale)
-        x, y = at[:2] - middle
-        motions = np.stack(
-            (middle[0] + cos * x - sin * y + dx, middle[1] + sin * x + cos * y + dy, at[2] + turn),
-            axis=1,
-        )
+        motions = turned_about(at, middle, turn, scales / scale)
+        motions[:, :2] += np.stack((dx, dy), axis=1)
         found = score_motions(pair, motions, 1, sigma=sigma, points=POINTS, scales=scales)
         best = int(np.argmax(found))
         scale, at = float(scales[best]), motions[best]

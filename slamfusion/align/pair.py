@@ -41,10 +41,10 @@ def both_ways(
     return there, (cos, -sin, -(cos * x + sin * y), sin * x - cos * y)
 
 
-def turned_about(motion: F64, middle: F64, turns: F64) -> F64:
-    """Return (P, 3) a motion turned by ``turns`` (rad) about ``middle`` (x, y in cells)."""
+def turned_about(motion: F64, middle: F64, turns: F64, scales: F64 | float = 1.0) -> F64:
+    """Return (P, 3) a motion turned by ``turns`` (rad) and scaled about ``middle`` (cells)."""
     x, y = motion[:2] - middle
-    cos, sin = np.cos(turns), np.sin(turns)
+    cos, sin = np.cos(turns) * scales, np.sin(turns) * scales
     return np.stack(
         (middle[0] + cos * x - sin * y, middle[1] + sin * x + cos * y, motion[2] + turns), axis=1
     )
