@@ -159,7 +159,7 @@ def compare_to_truth(
     box = known_truth(truth)
 
     # The cells, on the truth's lattice.
-    expected = truth.cells[box.row0 : box.row1, box.col0 : box.col1]
+    expected = truth.cells[box.slices()]
     found = sample_on_lattice(grid, truth, box, transform)
     mapped = None
     if is_plan:
@@ -167,9 +167,8 @@ def compare_to_truth(
         is_wall = expected == 1
         mapped = float((is_wall & is_seen).sum() / max(1, int(is_wall.sum())))
         expected = np.where(is_seen, expected, np.int8(UNKNOWN))
-        seen = np.full_like(truth.cells, UNKNOWN)
-        seen[box.row0 : box.row1, box.col0 : box.col1] = expected
-        truth = replace(truth, cells=seen)
+        whole = CellBox(0, 0, *truth.cells.shape)
+        truth = replace(truth, cells=whole.cut(expected, box, UNKNOWN))
     # The pairs of classes -1, 0, 1 of truth T and map M, counted; [F16]: sqrt(sum((T - M)^2)).
     codes = (expected + 1) * 3 + (found + 1)
     confusion = np.bincount(codes.ravel().view(np.uint8), minlength=9).reshape(3, 3)

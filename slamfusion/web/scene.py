@@ -31,7 +31,7 @@ from typing import Any, Literal
 import numpy as np
 
 from slamfusion.geometry import I8, Pose2
-from slamfusion.grid import IDENTITY, UNKNOWN, OccupancyGrid
+from slamfusion.grid import IDENTITY, UNKNOWN, CellBox, OccupancyGrid
 from slamfusion.json_values import plain
 from slamfusion.palette import AGREED_WALL_RGB, DISAGREEMENT_RGB, FREE_RGB, colours_of
 from slamfusion.trajectory import Trajectory
@@ -97,14 +97,12 @@ def encode_tile(layer: str, place: Place, stamp_s: float, cells: I8, level: int 
 
 def _cut(cells: I8, offset: Place) -> dict[Place, I8]:
     """Return the tiles of cells at an offset, but those without a known cell."""
-    (row0, column0), (height, width) = offset, cells.shape
-    first = row0 // TILE, column0 // TILE
-    last = (row0 + height - 1) // TILE, (column0 + width - 1) // TILE
-    rows, columns = last[0] - first[0] + 1, last[1] - first[1] + 1
-    whole = np.full((rows * TILE, columns * TILE), UNKNOWN, dtype=np.int8)
-    top, left = row0 - first[0] * TILE, column0 - first[1] * TILE
-    whole[top : top + height, left : left + width] = cells
-    blocks = whole.reshape(rows, TILE, columns, TILE).swapaxes(1, 2)
+    box = CellBox(0, 0, *cells.shape).moved(*offset)
+    first = box.row0 // TILE, box.col0 // TILE
+    rows, columns = -(-box.row1 // TILE) - first[0], -(-box.col1 // TILE) - first[1]
+    whole = CellBox(0, 0, rows * TILE, columns * TILE).moved(first[0] * TILE, first[1] * TILE)
+    tiles = whole.cut(cells, box, UNKNOWN).reshape(rows, TILE, columns, TILE)
+    blocks = tiles.swapaxes(1, 2)
     known = (blocks != UNKNOWN).any(axis=(2, 3))
     return {
         (first[0] + int(row), first[1] + int(column)): np.ascontiguousarray(blocks[row, column])
