@@ -399,10 +399,7 @@ def _fit(
         error_m = float((np.abs(apart).sum() + reach_m * np.count_nonzero(~near)) / len(near))
         weights = 1.0 / (NOISE_M * (1.0 + np.square(3.0 * apart / reach_m))) ** 2
         cos, sin = np.cos(found[2]), np.sin(found[2])
-        own = np.stack(
-            (cos * normals[:, 0] + sin * normals[:, 1], cos * normals[:, 1] - sin * normals[:, 0]),
-            axis=1,
-        )
+        own = normals @ np.array(((cos, -sin), (sin, cos)))
         arm, inner_arm = at - found[:2], inner[near] - moved[near, :2]
         start = np.column_stack((normals, arm[:, 0] * normals[:, 1] - arm[:, 1] * normals[:, 0]))
         during = np.column_stack((own, inner_arm[:, 0] * own[:, 1] - inner_arm[:, 1] * own[:, 0]))

@@ -181,9 +181,7 @@ class FreeSpace:
 
     def _sees(self, a: int, b: int) -> bool:
         """Whether the disc can move straight from one place to the other."""
-        line = self._places[a] + np.linspace(0.0, 1.0, 9)[:, None] * (
-            self._places[b] - self._places[a]
-        )
+        line = np.linspace(self._places[a], self._places[b], 9)
         return bool((self.clearance_m(line) >= self.radius_m).all())
 
 
