@@ -36,9 +36,10 @@ from slamfusion.align.refine import common_walls, narrow_fits
 from slamfusion.align.scores import SCORED_POINTS, WallPieces, score_motions, wall_pieces
 from slamfusion.align.search import SearchResult, search
 from slamfusion.align.shifts import SearchWindow
-from slamfusion.compute.lattice import fixed_cells
+from slamfusion.compute.lattice import cells_at, fixed_cells
 from slamfusion.config import AlignConfig
 from slamfusion.geometry import B8, F64
+from slamfusion.grid import UNKNOWN
 
 # Wall points for the comparison of scales.
 POINTS = 1024
@@ -303,11 +304,9 @@ def hit_share(pair: Pair, motion: F64) -> float:
         # Walls on ground that the other map knows, by squared distance to its walls.
         x, y = spread_sample(own.level(1).points, SCORED_POINTS).astype(np.int64).T
         rows, cols = fixed_cells(moved[:, 0].astype(np.int64), x, y)
-        height, width = other.shape
-        inside = (rows >= 0) & (cols >= 0) & (rows < height) & (cols < width)
-        at = rows[inside], cols[inside]
-        distance2 = other.level(1).host_distance2
-        met.append((other, np.bincount(distance2[at][other.grid.cells[at] >= 0], minlength=1)))
+        is_known = cells_at(other.grid.cells, rows, cols, UNKNOWN) >= 0
+        distance2 = cells_at(other.level(1).host_distance2, rows, cols, 0)[is_known]
+        met.append((other, np.bincount(distance2, minlength=1)))
     best = []
     for widths in (0.5, 1.0, WIDTHS["bent"]):
         sigma = widths * pair.widths[0]

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
+from slamfusion.compute.lattice import cells_at
 from slamfusion.errors import SimulationError
 from slamfusion.geometry import B8, F64, travelled
 from slamfusion.grid import FREE, OccupancyGrid
@@ -60,10 +61,7 @@ class FreeSpace:
         Negative off the grid.
         """
         rows, cols = self.grid.cell_indices(np.asarray(points, dtype=np.float64))
-        height, width = self._clearance_m.shape
-        inside = (rows >= 0) & (rows < height) & (cols >= 0) & (cols < width)
-        found = self._clearance_m[np.clip(rows, 0, height - 1), np.clip(cols, 0, width - 1)]
-        return np.asarray(np.where(inside, found, -1.0))
+        return cells_at(self._clearance_m, rows, cols, -1)
 
     def _make_graph(self) -> None:
         """Connect the usable places of a coarse lattice with their eight neighbours."""
