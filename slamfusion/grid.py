@@ -185,8 +185,8 @@ def face_cells(cells: I8) -> B8:
         cells: (H, W) int8, -1 unknown, 0 free, all others occupied.
     """
     free = np.pad(cells == FREE, 1)
-    beside = free[:-2, 1:-1] | free[2:, 1:-1] | free[1:-1, :-2] | free[1:-1, 2:]
-    return np.asarray((cells > FREE) & beside)
+    has_free_side = free[:-2, 1:-1] | free[2:, 1:-1] | free[1:-1, :-2] | free[1:-1, 2:]
+    return np.asarray((cells > FREE) & has_free_side)
 
 
 def trinary_cells(cells: I8, thresholds: NormalizeConfig) -> I8:

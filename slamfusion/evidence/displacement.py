@@ -66,7 +66,7 @@ REACH_M, STEP_M = 0.8, 0.1
 # The most places tried of all that was seen after some time, how far they may be turned, and cells
 # of the largest map that is aligned, 200 m on each side.
 MOST_PLACES, TURNED_RAD, MOST_CELLS = 4, 0.25 * np.pi, 1 << 24
-# Times after which the hits gain this share of the most are told apart by the path alone.
+# Among the times after which the hits gain this share of the most, the path decides.
 TELLING = 0.9
 # Smaller displacements are ignored, metres: paths this close have met again.
 LEAST_M = 0.5 * PART_M
@@ -84,7 +84,6 @@ PRICE = float(np.log(UNKNOWN))
 _STEPS_M = np.arange(-round(REACH_M / STEP_M), round(REACH_M / STEP_M) + 1) * STEP_M
 _SQUARE_M = np.stack(np.meshgrid(_STEPS_M, _STEPS_M), axis=-1).reshape(-1, 2)
 MOVES_M = _SQUARE_M[np.hypot(*_SQUARE_M.T) <= REACH_M + 0.5 * STEP_M]
-_NEAR_M = np.hypot(*MOVES_M.T)
 
 
 @dataclass(frozen=True)
@@ -131,13 +130,14 @@ def find_displacements(evidence: PathEvidence, name: str) -> tuple[Displacement,
         block = drawn.hit_scans[picked] * (CHUNKS * BLOCKS) // len(scans)
         hits = np.maximum(np.bincount(block, minlength=CHUNKS * BLOCKS), 1)
         moved = np.maximum(_moved(drawn, picked, among), PRICE) - own
-        moves_m = np.tile(_NEAR_M[:, None], CHUNKS)
-        is_moved = is_late[is_seen]
-        places = _better_places(drawn, picked[is_moved], likelihoods[is_seen][is_moved], split)
+        moves_m = np.tile(np.hypot(*MOVES_M.T)[:, None], CHUNKS)
+        is_moved = is_seen & is_late
+        places = _better_places(drawn, some[is_moved], likelihoods[is_moved], split)
         # The one that explains most of all chunks together.
-        for far, motion in sorted(places, key=lambda place: -place[0].sum())[:1]:
+        place = max(places, key=lambda place: float(place[0].sum()), default=None)
+        if place is not None:
             gained = np.zeros(len(picked))
-            gained[is_moved] = far
+            gained[is_late[is_seen]], motion = place
             moved = np.concatenate((moved, gained[None]))
             moves_m = np.concatenate((moves_m, _means_m(drawn, picked, motion)[None]))
         sums = np.array([np.bincount(block, gain, CHUNKS * BLOCKS) for gain in moved])
@@ -307,11 +307,9 @@ def _before_and_after(drawn: DrawnChunks, split: float) -> Pair | None:
     if drawn.table.size * TILE**2 > MOST_CELLS:
         return None
     before = np.uint32((1 << round(split * CHUNKS)) - 1)
-    grids = [drawn.grid(bits) for bits in (before, ~before)]
     device, config = drawn.device, NormalizeConfig()
-    return Pair(
-        *(GridFeatures(normalize_grid(grid, CELL_M, config, device), device) for grid in grids)
-    )
+    grids = (normalize_grid(grid, CELL_M, config, device) for grid in drawn.grids(before, ~before))
+    return Pair(*(GridFeatures(grid, device) for grid in grids))
 
 
 def _means_m(drawn: DrawnChunks, picked: I64, motion: Pose2) -> F64:

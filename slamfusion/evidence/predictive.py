@@ -17,7 +17,7 @@ Efficient continuous-time SLAM for 3D lidar-based online mapping, ICRA 2018, mea
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Literal
@@ -27,6 +27,7 @@ import numpy as np
 from slamfusion.compute import ComputeDevice
 from slamfusion.compute.arrays import DeviceArray
 from slamfusion.compute.layout import BEAM_ONE, FACINGS, TILE
+from slamfusion.compute.tiles import dense_pages
 from slamfusion.errors import TrajectoryError
 from slamfusion.evidence.beams import CHUNKS, JudgedScans, cover_stamps, no_common_time
 from slamfusion.geometry import (
@@ -419,14 +420,15 @@ class DrawnChunks:
         turn = round(own.yaw_rad * FACINGS / (2.0 * np.pi))
         return replace(self, beams=beams, facings=(self.facings + turn) % FACINGS)
 
-    def grid(self, bits: np.uint32) -> OccupancyGrid:
-        """Return the map of the chunks with these bits, in the frame of the path."""
-        pages, hits, seen = map(self.device.download, (self.table, self.hits, self.seen))
-        is_hit = np.bitwise_or.reduce(hits, axis=1) & bits != 0
-        tiles = np.where(is_hit, OCCUPIED, np.where(seen & bits, FREE, NOT_SEEN)).astype(np.int8)
-        shape = pages.shape[0] * TILE, pages.shape[1] * TILE
-        cells = tiles[pages].swapaxes(1, 2).reshape(shape)
-        return OccupancyGrid(cells, CELL_M, self.origin, "drawn")
+    def grids(self, *parts: np.uint32) -> Iterator[OccupancyGrid]:
+        """Yield the map of some chunks, given by their bits, in the frame of the path."""
+        download = self.device.download
+        pages, seen = download(self.table), download(self.seen)
+        hits = np.bitwise_or.reduce(download(self.hits), axis=1)
+        for bits in parts:
+            tiles = np.where(hits & bits, OCCUPIED, np.where(seen & bits, FREE, NOT_SEEN))
+            cells = dense_pages(tiles, pages).view(np.int8)
+            yield OccupancyGrid(cells, CELL_M, self.origin, "drawn")
 
     def passing(self) -> F64:
         """Return how likely beams pass a place on their way, (B,) log-likelihoods; short ones 0.

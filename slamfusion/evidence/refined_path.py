@@ -32,7 +32,7 @@ nearly as well as the path, the path is also refined from the odometry, and the 
 they are undecided, the start at the odometry is taken: the SLAMs use the odometry too, and distort
 it. Where the wheels slipped and the scans see little, the parts of the drive before and after are
 each right, and too far apart for the refinement: all scans after some time are moved together, as
-long as that gains. So are those of the path itself, where all SLAMs are torn.
+long as that gains. The parts of a path that is torn are joined so before it is refined.
 """
 
 from __future__ import annotations
