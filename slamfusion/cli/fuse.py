@@ -14,7 +14,7 @@ from slamfusion.cli import options, output, tables
 from slamfusion.cli.help import Choice, Command, Number
 from slamfusion.cli.paths import MAP, stem_of
 from slamfusion.cli.results import table_option
-from slamfusion.config import RunConfig
+from slamfusion.config import PAGE, RunConfig
 from slamfusion.errors import AlignmentError
 from slamfusion.fleet import executor_for
 from slamfusion.io.lines import saved_files
@@ -140,7 +140,7 @@ def command(
     if not output.print_if_json(document):
         _print_result(fused, stem, report_dir)
     if is_opened and report_dir is not None:
-        click.launch(str(report_dir / outputs.PAGE))
+        click.launch(str(report_dir / PAGE))
 
 
 def _print_result(fused: jobs.fuse.FusedMaps, stem: Path, report_dir: Path | None) -> None:
@@ -163,7 +163,7 @@ def _print_result(fused: jobs.fuse.FusedMaps, stem: Path, report_dir: Path | Non
             (f"group {number}", f"{own}.yaml ({', '.join(item.name for item in other.accepted)})")
             for number, (other, own) in enumerate(zip(others, stems, strict=True), start=2)
         ),
-        ("report", report_dir and report_dir / outputs.PAGE),
+        ("report", report_dir and report_dir / PAGE),
         *output.map_server_facts(Path(f"{stem}.yaml")),
         ("next", f"slamfusion show {quoted}"),
         *[("", f"slamfusion evaluate {quoted} --truth TRUE_MAP.yaml")] * (not fused.evaluations),

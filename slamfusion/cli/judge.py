@@ -12,12 +12,11 @@ from slamfusion.cli import options, output, results
 from slamfusion.cli.help import Command
 from slamfusion.cli.paths import CASE_FILE, case_folders
 from slamfusion.cli.tables import path_table, print_recommendation
-from slamfusion.config import RunConfig
+from slamfusion.config import PAGE, RunConfig
 from slamfusion.errors import SlamFusionError
 from slamfusion.io.files import AtomicFiles
 from slamfusion.jobs.cases import CaseFile, case_names, known_files, measured_inputs, place_files
 from slamfusion.jobs.inputs import device_for
-from slamfusion.jobs.outputs import PAGE
 from slamfusion.jobs.records import number
 
 

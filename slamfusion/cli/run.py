@@ -15,13 +15,13 @@ from slamfusion import evaluation, jobs
 from slamfusion.cli import options, output, results, tables
 from slamfusion.cli.help import Command
 from slamfusion.cli.paths import CASE_FILE, FILE, MAP
-from slamfusion.config import RunConfig
+from slamfusion.config import PAGE, RunConfig
 from slamfusion.errors import ConfigError, SlamFusionError, counted
 from slamfusion.fleet import executor_for
 from slamfusion.io.lines import MAP_SUFFIXES
 from slamfusion.jobs.cases import case_of
 from slamfusion.jobs.inputs import RUN_DEFAULTS
-from slamfusion.jobs.outputs import FAILED, FUSED, PAGE, REPORT, possible_outputs, possible_report
+from slamfusion.jobs.outputs import FAILED, FUSED, REPORT, possible_outputs, possible_report
 from slamfusion.jobs.records import Settings, number
 
 # Columns of the table of SLAMs, and their number without --verbose; the errors with their figures

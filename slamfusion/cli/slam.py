@@ -15,11 +15,11 @@ from slamfusion.cli.help import Command, Number, ProducerGroup
 from slamfusion.cli.output import Table, notice, print_facts, print_if_json, progress_bar
 from slamfusion.cli.paths import FILE, MAP, stem_of
 from slamfusion.cli.results import print_items, table_option
-from slamfusion.config import RunConfig
+from slamfusion.config import PAGE, RunConfig
 from slamfusion.errors import SlamFusionError
 from slamfusion.io.files import open_regular
 from slamfusion.jobs.cases import case_of
-from slamfusion.jobs.outputs import PAGE, output_files
+from slamfusion.jobs.outputs import output_files
 from slamfusion.json_values import record_keys
 
 

@@ -23,7 +23,9 @@ from slamfusion.config.ros import (
     ScanNodeConfig as ScanNodeConfig,
 )
 from slamfusion.config.run import (
+    PAGE as PAGE,
     PICTURE_FORMS as PICTURE_FORMS,
+    PICTURES as PICTURES,
     SMALLEST as SMALLEST,
     START_FORM as START_FORM,
     START_M as START_M,

@@ -318,7 +318,8 @@ def _shown(part: Any) -> str:
     return (" ".join(part.split()) if isinstance(part, str) else shown(part))[:40]
 
 
-# Formats of pictures.
+# The page of a report, its numbered pictures, and the formats of pictures.
+PAGE, PICTURES = "report.html", "[0-9][0-9]-*"
 PICTURE_FORMS = ("png", "svg", "pdf")
 
 

@@ -10,7 +10,7 @@ from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
 
-from slamfusion.config import PICTURE_FORMS
+from slamfusion.config import PAGE, PICTURE_FORMS, PICTURES
 from slamfusion.io.lines import saved_files
 
 # The files of a producer's run: the map, its picture, the path and the record.
@@ -34,7 +34,6 @@ STORE_END = ".zarr"
 FUSED_PATH = FUSED + ".tum"
 # The record of a run that made a fused map: its JSON document.
 RUN_RECORD = FUSED + ".json"
-PAGE, PICTURES = "report.html", "[0-9][0-9]-*"
 # What the alignment of a floor plan calls the plan and the map that lies in its frame, the plan's
 # world file, and the picture of both.
 PLAN, PLACED, WORLD_FILE, OVERLAY = "plan", "map", "plan.pgw", "overlay.png"

@@ -20,7 +20,7 @@ import yaml
 from markupsafe import Markup
 from matplotlib.figure import Figure  # noqa: TID251
 
-from slamfusion.config import PICTURE_FORMS, RunConfig
+from slamfusion.config import PAGE, PICTURE_FORMS, PICTURES, RunConfig
 from slamfusion.io.files import AtomicFiles
 from slamfusion.report.canvas import Legend, add_lettering, to_form
 from slamfusion.report.layers import Layers
@@ -31,7 +31,6 @@ from slamfusion.web import bundled, front_end
 NO_TABLES = Markup("")
 _STEM = re.compile(r"[^A-Za-z0-9_-]+")
 _STEM_LENGTH = 40
-PAGE = "report.html"
 CARDS = 4
 
 
@@ -176,7 +175,7 @@ def report_files(folder: Path) -> list[Path]:
     """Return the page of a report in a folder and the pictures that it names; none without one."""
     path = folder / PAGE
     text = path.read_text("utf-8", "replace") if path.exists() else ""
-    files = [file for form in PICTURE_FORMS for file in folder.glob(f"[0-9][0-9]-*.{form}")]
+    files = [file for form in PICTURE_FORMS for file in folder.glob(f"{PICTURES}.{form}")]
     return [path, *(own for own in files if f"{own.stem}.png" in text)] if text else []
 
 
