@@ -71,20 +71,18 @@ def conclude(
     best = answer.motion
     if found.coarse is not None and answer.reading != "bent":
         best = climbed(pair, narrow_fits(pair, best[None])[0])
-    statistics = measure(pair, best)
+    scores, statistics = measure(pair, np.concatenate((best[None], answer.others[:1])))
     met = max(statistics["wall_match_moving"], statistics["wall_match_reference"])
     if answer.reading == "bent" and met < BENT_MATCH:
         # A narrow fit locks onto one part of a bent map; a wide one spreads the misfit over all of
         # it.
         best = refine(pair, best[None], 1, BENT_SCALES, iterations=8, everywhere=True)[0]
-        statistics = measure(pair, best)
+        scores, statistics = measure(pair, np.concatenate((best[None], answer.others[:1])))
     overlap, error = statistics["overlap"], statistics.pop("error")
-    shown = np.concatenate((best[None], answer.others[:1]))
-    scores = [float(score) for score in rank(pair, shown)]
     runner_up = None
-    if len(shown) > 1:
+    if len(scores) > 1:
         ratio = max(0.0, scores[1] / scores[0]) if scores[0] > 0 else 1.0
-        runner_up = RunnerUp(pair.transform_of(shown[1]), scores[1], ratio)
+        runner_up = RunnerUp(pair.transform_of(answer.others[0]), scores[1], ratio)
     evidence, decision = _decided(
         pair, config, found, answer, chances, best, statistics=statistics, runner_up=runner_up
     )
@@ -202,32 +200,34 @@ def _evidence(answer: Answer, chances: Chances, patches: float) -> MatchEvidence
     )
 
 
-def measure(pair: Pair, motion: F64) -> dict[str, float]:
-    """Return the statistics of a motion.
+def measure(pair: Pair, motions: F64) -> tuple[list[float], dict[str, float]]:
+    """Return the score of each motion (P, 3), see ``rank``, and the statistics of the first.
 
     ``wall_match``: the smaller of the two shares of wall cells within 0.15 m of a wall of the other
     map. ``wall_clash`` and ``wall_clash_near``: the larger of the two shares in the other's
     free space more than 1 m and 0.4 m from any wall. ``chance``: the larger of the two shares
-    of known cells within 0.15 m of a wall, the match of a random place. ``explained``: the
-    share of the map with fewer wall cells; ``explained_by_chance``: the share of it that a
-    random place on the other map's known cells would explain.
+    of known cells (``known_at_distance``) within 0.15 m of a wall, the match of a random place.
+    ``explained``: the share of the map with fewer wall cells; ``explained_by_chance``: the share
+    of it that a random place on the other map's known cells would explain.
     """
     size = pair.resolution
     limits2 = [int(max(metres / size, least) ** 2 + 1e-9) for metres, least in TOLERANCES]
-    samples = [own.wall_sample(SCORED_POINTS, solid=True) for own in (pair.moving, pair.reference)]
-    counts = count_met(pair, motion[None], samples, limits2)
+    *counts, ours, theirs = count_met(pair, motions, SCORED_POINTS, limits2, solid=(False, True))
+    scores = rank(pair, counts).tolist()
+    sampled = [min(SCORED_POINTS, len(own.wall_points)) for own in (pair.moving, pair.reference)]
     _, known, match, _, _, _, *clash = (
-        [float(own[0, k]) / sample.shape[0] for own, sample in zip(counts, samples, strict=True)]
-        for k in range(counts[0].shape[1])
+        [float(count) / points for count, points in zip(both, sampled, strict=True)]
+        for both in zip(ours[0], theirs[0], strict=True)
     )
-    chance = [other.near_wall_share(limits2[0]) for other in pair]
+    known_at = [other.known_at_distance(1) for other in pair]
+    chance = [at[: limits2[0] + 1].sum() / max(1.0, at.sum()) for at in known_at]
     smaller = 0 if len(pair.moving.wall_points) <= len(pair.reference.wall_points) else 1
     # Common known cells, and the [F16] error over the reference's box.
-    _, (_, back, _) = pair.sides(motion[None])
+    _, (_, back, _) = pair.sides(motions[:1])
     poses = back.T.astype(np.int64)
     ((error, common),) = pair.device.grid_error(pair.reference.cells, pair.moving.cells, poses)
     least = max(1, min(pair.reference.known_cells, pair.moving.known_cells))
-    return {
+    return scores, {
         "wall_match": float(min(match)),
         "wall_match_moving": float(match[0]),
         "wall_match_reference": float(match[1]),

@@ -40,7 +40,7 @@ SOFT_GAIN = 1.25
 # The last fit is narrow: it needs no greater distances, in cells.
 SOLID_REACH = 24
 # Small results, which ``release`` keeps.
-SMALL = ("near_wall_share", "_known_at_distance", "directions")
+SMALL = ("known_at_distance", "directions")
 # The greatest worth of a wall.
 FIELD_TOP = 255
 # The reported score: a byte serves single lookups.
@@ -192,13 +192,6 @@ class GridFeatures:
         return _set_cells(self.grid.solid)
 
     @_kept
-    def near_wall_share(self, near2: int) -> float:
-        """Return the share of known cells within this squared distance (cells) of a wall."""
-        is_near = self.level(1).host_distance2 <= near2
-        near = int(np.count_nonzero(is_near & (self.grid.cells >= 0)))
-        return near / max(1, self.known_cells)
-
-    @_kept
     def _solid(self) -> DeviceArray[Any]:
         return self.device.wrap_host(self.grid.solid)
 
@@ -256,16 +249,23 @@ class GridFeatures:
 
         ``sigma`` is the width of a wall in cells of the level.
         """
-        known = self._known_at_distance(step)
+        known = self.known_at_distance(step)
         total = float(known.sum())
         return float(likeness(sigma) @ known) / total if total > 0 else 1.0
 
     @_kept
-    def _known_at_distance(self, step: int) -> F64:
-        """Return (4097,) the known cells of a level by squared distance to a wall."""
+    def known_at_distance(self, step: int) -> F64:
+        """Return (4097,) the known cells of a level by squared distance to a wall.
+
+        Of occupied cells those of surface walls.
+        """
+        return np.asarray(self.start_known(step)() / FIELD_ONE)
+
+    @_kept
+    def start_known(self, step: int) -> Callable[[], I64]:
+        """Let the device start on ``known_at_distance``."""
         level = self.level(step)
-        sums = self.device.known_by_distance(level.distance2, level.wall, level.free)
-        return np.asarray(sums / FIELD_ONE)
+        return self.device.start_known_by_distance(level.distance2, level.wall, level.free)
 
     @_kept
     def wall_planes(self, step: int, most: int) -> PointPlanes:
@@ -382,10 +382,11 @@ def _without_rims(grid: NormalizedGrid) -> NormalizedGrid:
     free, unknown = (grid.cells == 0).view(np.uint8), (grid.cells < 0).view(np.uint8)
     beside_free = grown(free)
     rims = unknown & beside_free & grown(grid.solid)
-    before, after = (
-        np.count_nonzero(grid.solid & near) for near in (beside_free, grown(free | rims))
-    )
-    if after <= SOFT_GAIN * before:
+    before = np.count_nonzero(grid.solid & beside_free)
+    # A cell has eight neighbours: few rims cannot matter.
+    if 8 * np.count_nonzero(rims) <= (SOFT_GAIN - 1.0) * before:
+        return grid
+    if np.count_nonzero(grid.solid & grown(free | rims)) <= SOFT_GAIN * before:
         return grid
     return replace(grid, cells=np.where(rims != 0, np.int8(0), grid.cells))
 

@@ -98,18 +98,16 @@ def relate_pieces(points: I32, starts: I32, squares: I64, width: float, apart: i
 
     # Which later pieces lie near each other's lines; farther off it is less than a hundredth.
     count, (x, y), (to_x, to_y) = len(squares), middles.T, across.T
-    places = np.column_stack((x, y, np.ones(count))).astype(np.float32)
-    lines = np.column_stack((to_x, to_y, -to_x * x - to_y * y)).astype(np.float32)
+    places = np.stack((x, y, np.ones(count)), dtype=np.float32)
+    lines = np.stack((to_x, to_y, -to_x * x - to_y * y), dtype=np.float32)
     is_near = np.zeros((count, count), dtype=np.bool_)
     some = max(1, COMPARED // max(1, count))
     for first in range(0, count, some):
-        own = slice(first, first + some)
         here, there = (
-            np.abs(one[own] @ other[first:].T) < 6.1 * width
+            np.abs(one[:, first : first + some].T @ other[:, first:]) < 6.1 * width
             for one, other in ((lines, places), (places, lines))
         )
-        np.logical_and(here, there, out=is_near[own, first:])
-        is_near[own, own] = np.triu(is_near[own, own], 1)
+        np.logical_and(here, there, out=is_near[first : first + some, first:])
     # And the later neighbours, found by their squares, with a margin of squares without a piece.
     col, row = (squares - squares.min(axis=0, initial=0) + apart).T
     shape = col.max(initial=0) + apart + 1, row.max(initial=0) + apart + 1
@@ -117,10 +115,12 @@ def relate_pieces(points: I32, starts: I32, squares: I64, width: float, apart: i
     piece_at[col, row] = np.arange(count)
     steps = np.arange(1 - apart, apart)
     around = (steps[:, None] * shape[1] + steps).ravel()
-    others = piece_at.ravel()[(col * shape[1] + row)[:, None] + around]
-    a, place = np.nonzero(others > np.arange(count)[:, None])
+    others = piece_at.ravel()[(col * shape[1] + row)[:, None] + around[around > 0]]
+    a, place = np.nonzero(others >= 0)
     is_near[a, others[a, place]] = True
-    a, b = np.divmod(np.flatnonzero(is_near), max(1, count))
+    pairs = np.flatnonzero(is_near)
+    a = pairs // max(1, count)
+    b = pairs - a * count
     shares = 1.0 - np.arange(apart + 1) / apart
     near = shares[np.minimum(np.abs(col[a] - col[b]), apart)]
     near *= shares[np.minimum(np.abs(row[a] - row[b]), apart)]
@@ -128,7 +128,7 @@ def relate_pieces(points: I32, starts: I32, squares: I64, width: float, apart: i
     off = np.maximum(*(np.abs(dx * to_x[one] + dy * to_y[one]) for one in (a, b)))
     line = straight[a] * straight[b] * np.exp(-0.5 * (off / (2.0 * width)) ** 2)
     both = np.maximum(near, line)
-    kept = both >= 0.01
+    kept = (both >= 0.01) & (a < b)
     ends = np.searchsorted(a[kept], np.arange(count + 1)).astype(np.int32)
     alike = scipy.sparse.csr_array(
         (both[kept], b[kept].astype(np.int32), ends), shape=(count, count)

@@ -84,10 +84,11 @@ def refine(
 
 
 def start_settling(pair: Pair) -> None:
-    """Let the device start on the fields of ``settle``."""
+    """Let the device start on the fields of ``settle``, and on what a wall proves."""
     for grid in pair:
         for solid in (False, True):
             grid.distances(1, solid=solid, everywhere=False)
+        grid.start_known(1)
 
 
 def settle(pair: Pair, motions: F64) -> F64:
@@ -100,8 +101,7 @@ def settle(pair: Pair, motions: F64) -> F64:
     """
     motions = refine(pair, motions, 1, (12.0, 8.0), points=FINE_POINTS)
     # The median distance in cells, rounded up, of surfaces with one within 8 cells.
-    samples = [own.wall_sample(SPREAD_POINTS) for own in (pair.moving, pair.reference)]
-    counts = count_met(pair, motions, samples, [r * r for r in (*SURFACE_RADII, 8)])
+    counts = count_met(pair, motions, SPREAD_POINTS, [r * r for r in (*SURFACE_RADII, 8)])
     near = (counts[0] + counts[1])[:, 2 : 3 + len(SURFACE_RADII)].T
     reached = 2.0 * near[:-1] >= near[-1]
     reached[-1] = True

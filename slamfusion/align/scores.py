@@ -17,7 +17,6 @@ import numpy as np
 from slamfusion.align.features import FIELD_TOP, FINE_TABLE, GridFeatures
 from slamfusion.align.lines import PieceLines
 from slamfusion.align.pair import Pair
-from slamfusion.compute.arrays import DeviceArray
 from slamfusion.compute.layout import FIXED_ONE
 from slamfusion.compute.search import STEPS, CountedSide, ScoredSide
 from slamfusion.compute.wall_pieces import PieceSide
@@ -259,29 +258,33 @@ def _scored(
     return ours + theirs
 
 
-def rank(pair: Pair, motions: F64) -> F64:
-    """Return the symmetric wall score (P,) of motions; 1 for identical maps."""
-    grids = pair.moving, pair.reference
-    samples = [own.wall_sample(SCORED_POINTS) for own in grids]
-    walls = [len(own.level(1).points) for own in grids]
-    total = np.zeros(len(motions))
-    for counts, sample, count in zip(
-        count_met(pair, motions, samples), samples, walls, strict=True
-    ):
-        total += count * ((counts[:, 0] / sample.shape[0] - FINE_TABLE.base) / FINE_TABLE.span)
+def rank(pair: Pair, met: Sequence[I64]) -> F64:
+    """Return the symmetric wall score (P,) of motions by what walls meet; 1 for identical maps."""
+    walls = [len(own.level(1).points) for own in (pair.moving, pair.reference)]
+    total = np.zeros(len(met[0]))
+    for counts, wall in zip(met, walls, strict=True):
+        mean = counts[:, 0] / min(wall, SCORED_POINTS)
+        total += wall * ((mean - FINE_TABLE.base) / FINE_TABLE.span)
     return total / float(sum(walls))
 
 
 def count_met(
-    pair: Pair, motions: F64, samples: Sequence[DeviceArray[np.int32]], limits2: Sequence[int] = ()
+    pair: Pair,
+    motions: F64,
+    most: int,
+    limits2: Sequence[int] = (),
+    *,
+    solid: Sequence[bool] = (False,),
 ) -> list[I64]:
-    """Return what points (N, 2) of each map, the moving first, meet on the other.
+    """Return what ``most`` sampled walls of each map, the moving first, meet on the other.
 
-    See ``pose_counts``; the worth is that of ``rank``.
+    See ``wall_sample`` and ``pose_counts``; the worth is that of ``rank``. All that are ``solid``
+    follow the others where both are wanted.
     """
     sides = [
-        CountedSide(points, ways, other.cells, other.level(1).distance2)
-        for points, (_, ways, other) in zip(samples, pair.sides(motions), strict=True)
+        CountedSide(own.wall_sample(most, solid=kind), ways, other.cells, other.level(1).distance2)
+        for kind in solid
+        for own, ways, other in pair.sides(motions)
     ]
     worths, base = FINE_TABLE.worths, FINE_TABLE.base
     return pair.device.pose_counts(*sides, worths=worths, base=base, limits2=limits2)

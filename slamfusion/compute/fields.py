@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TypeVar
 
 import numpy as np
@@ -140,30 +141,33 @@ class FieldDevice(ArrayDevice):
         squared = (rows - own_rows) ** 2 + (cols - own_cols) ** 2
         return np.asarray(np.minimum(squared, reach**2), dtype=np.uint16)
 
-    def known_by_distance(
+    def start_known_by_distance(
         self,
         distance2: DeviceArray[np.uint16],
         wall: DeviceArray[np.uint8],
         free_share: DeviceArray[np.uint8],
-    ) -> I64:
-        """Return (4097,) how much of the cells is known, by squared distance to a wall.
+    ) -> Callable[[], I64]:
+        """Start to sum how much of the cells is known, by squared distance to a wall.
 
         Of a wall (uint8, 1) ``FIELD_ONE``, of another cell its free share (uint8, 0..255).
+
+        Returns:
+            A function that waits for the sums, and returns them: (4097,) int64.
         """
         if self.opencl:
             chunks = -(-distance2.size // COUNTED_CELLS)
             partial = np.empty((chunks, DISTANCE2_MAX + 1), np.int32)
-            self.opencl.launch_into(
+            started = self.opencl.start_into(
                 partial, "known_by_distance", (1, chunks, 1), distance2, wall, free_share,
                 distance2.size, COUNTED_CELLS, chunks,
             )  # fmt: skip
-            return np.asarray(partial.sum(axis=0, dtype=np.int64))
+            return lambda: np.asarray(started().sum(axis=0, dtype=np.int64))
         known = np.where(host(wall) != 0, np.uint8(FIELD_ONE), host(free_share))
         sums = np.zeros(DISTANCE2_MAX + 1, dtype=np.int64)
         for row, weights in zip(host(distance2), known, strict=True):
             # Whole numbers below 2^53 are exact in the float64 that bincount adds.
             sums += np.bincount(row, weights, len(sums)).astype(np.int64)
-        return sums
+        return lambda: sums
 
     def score_field(
         self,

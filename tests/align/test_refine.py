@@ -11,7 +11,7 @@ from scipy import ndimage
 
 from slamfusion.align.pair import Pair, displacement
 from slamfusion.align.refine import climbed, narrow_fits, polish, refine, settle
-from slamfusion.align.scores import rank
+from slamfusion.align.scores import SCORED_POINTS, count_met, rank
 from slamfusion.compute import ComputeDevice
 from slamfusion.grid import OccupancyGrid
 from tests.fusion.drawings import building, features_of
@@ -86,7 +86,8 @@ def test_polishing_comes_home_where_most_walls_are_in_one_map_alone(
 def test_rank_of_a_map_on_itself_is_one_and_falls_with_distance(device: ComputeDevice) -> None:
     grid = features_of(building(3), device)
     away = np.array([[0, 0, 0], [1, 0, 0], [3, 0, 0], [8, 0, 0]], dtype=float)
-    scores = rank(Pair(grid, grid), np.array([*grid.centre, 0.0]) + away)
+    pair, motions = Pair(grid, grid), np.array([*grid.centre, 0.0]) + away
+    scores = rank(pair, count_met(pair, motions, SCORED_POINTS))
     assert scores[0] == pytest.approx(1.0)
     assert np.all(np.diff(scores) < 0)
 

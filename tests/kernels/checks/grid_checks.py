@@ -71,7 +71,7 @@ def _score_field(device: ComputeDevice, sample: Sample) -> Arrays:
 
 def _known_by_distance(device: ComputeDevice, sample: Sample) -> Arrays:
     planes = (sample.distance2, sample.walls, sample.field)
-    return [device.known_by_distance(*(device.upload(plane) for plane in planes))]
+    return [device.start_known_by_distance(*(device.upload(plane) for plane in planes))()]
 
 
 def _wall_distances(device: ComputeDevice, sample: Sample) -> Arrays:
@@ -283,7 +283,7 @@ GRID_CHECKS: dict[str, Check] = {
     "surface_walls": _surface_walls,
     "shrink": _shrink,
     "distance_squared": _distance_squared,
-    "known_by_distance": _known_by_distance,
+    "start_known_by_distance": _known_by_distance,
     "wall_distances": _wall_distances,
     "score_field": _score_field,
     "max_ahead": _max_ahead,
