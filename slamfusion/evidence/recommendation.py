@@ -8,8 +8,8 @@ the best single SLAM is the one closest to it.
 A place is one to check if walls there are displaced (``find_displacements``), or if a tied path has
 parted there and neither most of the SLAMs nor the scans of that time support the answer. So is a
 part of the drive for which a path has no pose, because no path is judged there. If walls are
-displaced in a quarter of the drive, or most of what the robot saw was free space at other times,
-the confidence is low.
+displaced in a quarter of the drive, or most of what the robot saw was free space at other times, or
+before some time (``find_contradiction``), the confidence is low.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ from slamfusion.evidence.displacement import (
     DOUBTED,
     LITTLE_SEEN,
     contradicted_share,
+    find_contradiction,
     find_displacements,
     find_place_seen_before,
 )
@@ -276,23 +277,23 @@ def _checks(
         what = f"walls stand {part.away_m:.1f} m away from where they were seen at other times"
         # Certain faults come before open ones.
         add(part.from_s, part.to_s, 0.5 * (part.from_s + part.to_s), 1e3 + part.away_m, what)
+    times_s = evidence.scans.stamps_s - evidence.scans.stamps_s[0]
+    if (broken := find_contradiction(evidence, path)) is not None:
+        what = f"from here on {broken.share:.0%} of what the robot saw was free space before"
+        add(broken.since_s, float(times_s[-1]), broken.since_s, 2e3, what)
     if (again := find_place_seen_before(evidence, path)) is not None:
         what = f"a place seen before is drawn again, {again.away_m:.0f} m away"
         add(again.from_s, again.to_s, again.from_s, 1e3 + again.away_m, what)
-    since_s = evidence.scans.stamps_s[evidence.is_judged] - evidence.scans.stamps_s[0]
+    since_s = times_s[evidence.is_judged]
     for rival, span in undecided(evidence, {own.name: own.spans for own in slams}, path):
         here = (since_s >= span.from_s) & (since_s <= span.to_s)
         farthest = int(np.argmax(path_gap_m(evidence, rival, path) * here))
         what = f"{rival} is {span.gap_m:.1f} m from {path}, and no scan shows which is right"
         add(span.from_s, span.to_s, float(since_s[farthest]), span.gap_m, what)
-    times_s = evidence.scans.stamps_s - evidence.scans.stamps_s[0]
-    for gap in flag_runs(~evidence.is_judged):
+    for gap, names in _unjudged(evidence):
         from_s, to_s = times_s[[gap.start, gap.stop - 1]].tolist()
-        if (gap.stop - gap.start) * CHUNKS >= len(times_s):
-            scores = evidence.scores.items()
-            without = [own for own, score in scores if np.isnan(score.poses[gap, 0]).any()]
-            what = f"not judged, for lack of a pose in {', '.join(without)}"
-            add(from_s, to_s, 0.5 * (from_s + to_s), 1e3, what)
+        what = f"not judged, for lack of a pose in {', '.join(names)}"
+        add(from_s, to_s, 0.5 * (from_s + to_s), 1e3, what)
     if evidence.scores[path].seen_share < LITTLE_SEEN:
         what = "little was seen a second time, so nothing confirms the path"
         add(0.0, float(since_s[-1]), float(since_s[-1]), 0.0, what)
@@ -303,9 +304,17 @@ def _checks(
     first = sorted(found, key=lambda item: -item[0])[:MOST_CHECKS]
     check = tuple(sorted((place for _, place in first), key=lambda place: place.from_s))
     parted = sum(part.away_m >= PART_M for part in displaced)
-    if contradicted > CONTRADICTED or parted > BENT * CHUNKS:
+    if contradicted > CONTRADICTED or parted > BENT * CHUNKS or broken is not None:
         return check, "low"
     return check, "medium" if check else "high"
+
+
+def _unjudged(evidence: PathEvidence) -> Iterator[tuple[slice, list[str]]]:
+    """Yield scans in a row, a chunk or more, that are not judged, and the paths without poses."""
+    for gap in flag_runs(~evidence.is_judged):
+        if (gap.stop - gap.start) * CHUNKS >= len(evidence.scans):
+            scores = evidence.scores.items()
+            yield gap, [own for own, score in scores if np.isnan(score.poses[gap, 0]).any()]
 
 
 def undecided(

@@ -35,7 +35,11 @@ from slamfusion.compute import ComputeDevice, open_device
 from slamfusion.config import FailuresConfig, RunConfig
 from slamfusion.evaluation.trajectory_error import trajectory_errors
 from slamfusion.evidence.beams import judged_scans
-from slamfusion.evidence.displacement import find_displacements, find_place_seen_before
+from slamfusion.evidence.displacement import (
+    find_contradiction,
+    find_displacements,
+    find_place_seen_before,
+)
 from slamfusion.evidence.parting import PART_M
 from slamfusion.evidence.predictive import score_paths
 from slamfusion.evidence.recommendation import choose_path
@@ -276,6 +280,7 @@ def judge_drive(folder: Path, device: ComputeDevice) -> Iterator[Found]:
                 for name in evidence.scores
                 if any(part.away_m >= PART_M for part in find_displacements(evidence, name))
                 or find_place_seen_before(evidence, name) is not None
+                or find_contradiction(evidence, name) is not None
             ),
             (best, *(name for name in others if name not in behind)),
             ate_m,

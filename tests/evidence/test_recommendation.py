@@ -125,10 +125,23 @@ def test_a_map_that_shows_its_walls_twice_is_red(device: ComputeDevice, away_m: 
     assert answer.headline == "Do not trust the a path: the scans contradict it"
     assert len(answer.check) == MOST_CHECKS
     assert list(answer.check) == sorted(answer.check, key=lambda place: place.from_s)
-    for place in answer.check:
+    first, *others = sorted(answer.check, key=lambda place: "from here on" not in place.what)
+    assert first.what.startswith("from here on")
+    for place in others:
         near = place_at(torn, 0.5 * (place.from_s + place.to_s))
         assert (place.x, place.y) == pytest.approx(near, abs=0.3)
         assert "away from where they were seen at other times" in place.what
+
+
+@pytest.mark.parametrize("first", [60, 115, 200])
+def test_a_path_torn_at_any_time_is_red(device: ComputeDevice, first: int):
+    torn = moved(ROUNDS, (2.0, 1.5, 0.4), first)
+    evidence = score_paths(judged_scans(recorded(ROUNDS, odometry=False)), {"a": torn}, device)
+    answer = answer_of(evidence)
+    assert answer.confidence == "low"
+    (place,) = (place for place in answer.check if place.what.startswith("from here on"))
+    assert place.from_s == pytest.approx(0.25 * first, abs=6.0)
+    assert place.what.endswith("of what the robot saw was free space before")
 
 
 def test_a_place_that_is_drawn_elsewhere_again_is_amber(device: ComputeDevice):
