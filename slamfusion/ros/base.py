@@ -27,7 +27,7 @@ from rclpy.duration import Duration
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.exceptions import NameValidationException
 from rclpy.executors import ExternalShutdownException
-from rclpy.qos import QoSCompatibility, qos_check_compatible, qos_policy_name_from_kind
+from rclpy.qos import QoSCompatibility, qos_check_compatible
 from rclpy.signals import SignalHandlerOptions
 
 try:  # its cost does not grow with the number of subscriptions
@@ -280,8 +280,8 @@ class NodeBase:
         self.diagnostics = Diagnostics(self.log)
         self.is_stopped = False
         self.exit_code = 0
-        # Read profiles of topics with an incompatible writer.
-        self._mismatched: dict[str, Any] = {}
+        # Topics that had an incompatible writer.
+        self._mismatched: set[str] = set()
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._diagnostics = self.node.create_publisher(
             DiagnosticArray, DIAGNOSTICS_TOPIC, qos.STREAM
@@ -367,25 +367,14 @@ class NodeBase:
         ``more``: of rclpy; with ``raw=True`` the callback gets the bytes of the message.
         ConfigError: see ``check_type``.
         """
-        if topic in self._mismatched:
-            self._mismatched[topic] = profile
-
-        def on_mismatch(event: Any) -> None:
-            policy = qos_policy_name_from_kind(event.last_policy_kind).lower()
-            self._mismatched[topic] = profile
-            text = (
-                f"a writer on {self.resolved(topic)!r} offers less than is asked for ({policy}); "
-                "nothing is heard from it"
-            )
-            self.diagnostics.say(f"qos {topic}", text)
-
+        events = SubscriptionEventCallbacks(incompatible_qos=lambda _: self._mismatched.add(topic))
         try:
             return self.node.create_subscription(
                 kind,
                 topic,
                 lambda message: self._call(topic, callback, message),
                 profile,
-                event_callbacks=SubscriptionEventCallbacks(incompatible_qos=on_mismatch),
+                event_callbacks=events,
                 **more,
             )
         except RuntimeError:  # of rcl, without the reason
@@ -431,12 +420,8 @@ class NodeBase:
         text = "use_sim_time is on and no time comes on '/clock'; start its sender, or turn it off"
         is_timeless = self.clock_s() <= 0.0
         self.diagnostics.say("no clock", text if is_timeless else None, after_s=CLOCK_LATE_S)
-        for topic, profile in list(self._mismatched.items()):
-            infos = self.node.get_publishers_info_by_topic(topic)
-            found = [qos_check_compatible(info.qos_profile, profile)[0] for info in infos]
-            if QoSCompatibility.ERROR not in found:  # every writer is compatible now
-                del self._mismatched[topic]
-                self.diagnostics.clear(f"qos {topic}")
+        for topic in sorted(self._mismatched):
+            self._name_mismatch(topic)
         message = DiagnosticArray()
         message.header.stamp = self.node.get_clock().now().to_msg()
         message.status = [
@@ -450,6 +435,27 @@ class NodeBase:
             for line in self.statuses()
         ]
         self._diagnostics.publish(message)
+
+    def _name_mismatch(self, topic: str) -> None:
+        """Report writers that offer less than this node's readers of a topic ask for."""
+        readers = [own for own in self.node.subscriptions if own.topic_name == self.resolved(topic)]
+        checks = [
+            qos_check_compatible(writer.qos_profile, reader.qos_profile)
+            for writer in self.node.get_publishers_info_by_topic(topic)
+            for reader in readers
+        ]
+        reasons = {
+            reason.replace("ERROR: ", " ").strip(" ;")
+            for found, reason in checks
+            if found == QoSCompatibility.ERROR
+        }
+        text = (
+            f"a writer on {self.resolved(topic)!r} offers less than is asked for "
+            f"({'; '.join(sorted(reasons))}); nothing is heard from it"
+        )
+        # A reader that adapts to its writers does so within a period.
+        late_s = DIAGNOSTICS_PERIOD_S
+        self.diagnostics.say(f"qos {topic}", text if reasons else None, after_s=late_s)
 
     def _on_jump(self, jump: TimeJump) -> None:
         delta_s = jump.delta.nanoseconds * 1e-9

@@ -178,7 +178,8 @@ def test_a_writer_that_offers_too_little_is_named(spun: Spun, observer: Observer
         "the mismatch",
     )
     assert words == (
-        "a writer on '/words' offers less than is asked for (reliability); nothing is heard from it"
+        "a writer on '/words' offers less than is asked for (Best effort publisher and reliable "
+        "subscription); nothing is heard from it"
     )
     observer.node.destroy_publisher(writer)
     wait(observer, spun, lambda: not spun.base.diagnostics.is_on("qos words"), "its end")

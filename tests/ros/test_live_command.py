@@ -13,12 +13,13 @@ import pytest
 pytest.importorskip("rclpy", reason="rclpy is absent: install the extra ros, or source a ROS")
 
 import rclpy
+from nav_msgs.msg import OccupancyGrid
 from nav_msgs.srv import LoadMap
 from std_srvs.srv import Trigger
 
 from slamfusion.cli.program import run_program
 from slamfusion.io.map_server import load_map, save_map
-from slamfusion.ros import messages
+from slamfusion.ros import messages, qos
 from slamfusion.ros.live_client import LiveClient, LiveNodeError
 from tests.cli.command import INSTALLED
 from tests.fusion.live.maps import three
@@ -62,7 +63,8 @@ def test_a_running_fusion_answers(
         return dict(document)
 
     makers = Makers(observer, prefix="robot1/")
-    start_fusion(processes, "-r", "__ns:=/robot1", save_path=str(tmp_path / "lab"))
+    fusion = start_fusion(processes, "-r", "__ns:=/robot1", save_path=str(tmp_path / "lab"))
+    observer.publisher(OccupancyGrid, "robot1/c/map", qos.SENSOR)
     for name in "ab":
         makers.send(three()[name])
     watching = processes.start("watch", [str(INSTALLED), "live", "watch", "--node", NODE])
@@ -104,6 +106,7 @@ def test_a_running_fusion_answers(
     watching.signal(signal.SIGINT)
     assert watching.wait() == 0
     assert "c: STALE no map on '/robot1/c/map' yet" in watching.text()
+    assert "offers less" not in fusion.text(), "the map is read with what its writer offers"
 
 
 def test_a_node_that_is_not_there_is_named(observer: Observer) -> None:
