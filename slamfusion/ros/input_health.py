@@ -195,13 +195,15 @@ def name_writers(base: NodeBase, sources: Mapping[str, MapSource], output: str) 
         after_s = 0.0 if is_sure else DEAD_KNOWN_S
         is_shared = len(nodes) > 1
         base.diagnostics.say(f"writers {name}", text if is_shared else None, after_s=after_s)
-    own = base.node.get_fully_qualified_name()
-    rival = next((node for node in base.writers(output) if node != own), "")
+    own, writers = base.node.get_fully_qualified_name(), base.writers(output)
+    namesake = own if writers.count(own) > 1 else ""
+    rival = next((node for node in writers if node != own), namesake)
     text = (
         f"another node, {rival!r}, publishes {base.resolved(output)!r} too: end one of the two, or "
         "start it in a namespace of its own (-r __ns:=/NAME)"
     )
-    base.diagnostics.say("other fusion", text if rival else None, Level.ERROR)
+    is_other = rival and rival != own  # a namesake is in the diagnostics of every node
+    base.diagnostics.say("other fusion", text if is_other else None, Level.ERROR)
     return rival
 
 

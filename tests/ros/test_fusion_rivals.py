@@ -111,18 +111,18 @@ def test_rivals_are_named_with_what_to_do(domain: int, processes: Processes, obs
     transforms = told_transforms(observer)
     stamps = itertools.count(3000)
 
-    def is_said() -> bool:
+    def is_said(rival: str) -> bool:
         robot.at(0.1 * next(stamps), Pose2(1.0, 1.0, 0.1), transforms)
         observer.listen(0.1)
         message = observer.statuses()[FUSION].message
         words = (
             "the pose of 'a' is in frame 'a_map' and its map in 'map': it is taken as one in",
             "another node sends the transform to",
-            "the other fusion is '/second'; end one",
+            f"the other fusion is {rival!r}; end one",
         )
         return all(word in message for word in words) and "was never sent" not in message
 
-    observer.wait(is_said, what="the word of the other fusion, and that ours sends")
+    observer.wait(lambda: is_said("/second"), what="the other fusion, and that ours sends")
     assert observer.statuses()[FUSION].level == b"\x02"
     # A second writer of an input is named until it has gone, as is the other fusion.
     assert second.interrupt() == 0
@@ -132,6 +132,10 @@ def test_rivals_are_named_with_what_to_do(domain: int, processes: Processes, obs
         observer.wait_status(FUSION, words)
     for words in ("publishes '/fused/map'", "nodes publish"):
         observer.wait(lambda words=words: words not in observer.statuses()[FUSION].message)
+    # So is one of the same name.
+    start_fusion(processes, publish_tf=True)
+    observer.wait_status(FUSION, "2 nodes are called '/fusion'")
+    observer.wait(lambda: is_said("/fusion"), what="the other fusion of the same name")
 
 
 def test_two_slams_of_one_name_are_named_while_both_live(processes: Processes, observer: Observer):
