@@ -61,6 +61,8 @@ TRIM_S = 10.0
 END_S = 10.0
 # Past events stay in the diagnostics this long, seconds.
 SHOWN_S = 10.0
+# Diagnostics key of a jump of the node's clock.
+TIME_JUMP = "time jump"
 # A folder of ``slamfusion.sh`` for nodes that were started together, so that only one of them logs
 # what concerns all.
 SESSION_VARIABLE = "SLAMFUSION_SESSION"
@@ -461,7 +463,7 @@ class NodeBase:
         delta_s = jump.delta.nanoseconds * 1e-9
         if delta_s > 0.0 and self.clock_s() - delta_s <= 0.0:
             return  # the first time that was received
-        self.diagnostics.note("time jump", f"time jumped {jump_words(delta_s, self.clock_s())}")
+        self.diagnostics.note(TIME_JUMP, f"time jumped {jump_words(delta_s, self.clock_s())}")
         self.on_time_jump(delta_s)
 
 

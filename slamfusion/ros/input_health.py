@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections import deque
 from collections.abc import Callable, Collection, Mapping
@@ -17,7 +18,7 @@ from slamfusion.fusion.live.inputs import Reason
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid as Grid
 from slamfusion.ros import messages, qos
-from slamfusion.ros.base import SHOWN_S, Diagnostics, Level, NodeBase, type_name
+from slamfusion.ros.base import SHOWN_S, TIME_JUMP, Diagnostics, Level, NodeBase, type_name
 
 MAP_SUFFIX = "/map"
 POSES = {type_name(kind): kind for kind in (PoseStamped, PoseWithCovarianceStamped)}
@@ -97,7 +98,7 @@ class Clocks:
     majority, this machine included, is taken as right. Wrong clocks are reported, but only single
     stamps are refused: far ahead of the node's clock while another input's is not.
 
-    In the executor's thread, except ``too_far_ahead_s``.
+    In the executor's thread, except ``is_too_far_ahead``.
 
     Args:
         clock_s: the node's time, seconds; <= 0 while unknown (before the first simulated time).
@@ -108,25 +109,22 @@ class Clocks:
         self._diagnostics = diagnostics
         # Stamps, and their lead over the node's clock, by name and kind of message.
         self._heard: dict[tuple[str, str], deque[tuple[float, float]]] = {}
-        # Lead of each input's last stamp; each use is one atomic operation.
+        # Lead of each input's last stamp, and arrival and lead of its last that was too far ahead;
+        # each use is one atomic operation.
         self._ahead_s: dict[str, float] = {}
-        # Until this time after a jump back, messages of before it still come.
-        self._settled_s = 0.0
+        self._stray_s: dict[str, tuple[float, float]] = {}
 
-    def too_far_ahead_s(self, name: str, stamp_s: float) -> float | None:
-        """Note a stamp of an input; return its lead if that is too large, else None."""
+    def is_too_far_ahead(self, name: str, stamp_s: float) -> bool:
+        """Note a stamp of an input; return whether it is far ahead of the clock and the others."""
         now_s = self._clock_s()
         if now_s <= 0.0:
-            return None
+            return False
         ahead_s = self._ahead_s[name] = stamp_s - now_s
         others = [other for key, other in list(self._ahead_s.items()) if key != name]
         is_wrong = bool(others) and ahead_s > AHEAD_S and ahead_s - min(others) > AHEAD_S
-        return ahead_s if is_wrong else None
-
-    @property
-    def is_settled(self) -> bool:
-        """Whether no message of before the last jump back comes any more."""
-        return self._clock_s() >= self._settled_s
+        if is_wrong and not self._diagnostics.is_on(TIME_JUMP):  # else it may be of before that
+            self._stray_s[name] = time.monotonic(), ahead_s
+        return is_wrong
 
     def hear(self, name: str, kind: str, stamp_s: float) -> None:
         """Take the stamp of a new message; a smaller one of the same kind restarts."""
@@ -155,28 +153,36 @@ class Clocks:
         }
         ordered = sorted([0.0, *ahead_s.values()])
         right_s = min(ordered[(len(ordered) - 1) // 2], ordered[len(ordered) // 2], key=abs)
+        now_s, is_settled = time.monotonic(), not self._diagnostics.is_on(TIME_JUMP)
         for name in names:
             # A clock alone is compared with none.
             lead_s = ahead_s[name] - right_s if name in ahead_s and len(ahead_s) > 1 else 0.0
+            is_off = abs(lead_s) > SKEW_S
             way = "ahead of" if lead_s > 0.0 else "behind"
             late = "" if lead_s > 0.0 else ", or its messages come that late"
-            text = (
-                f"the clock of {name!r} is {abs(lead_s):.1f} s {way} the others'{late}; its maps "
-                "count all the same; set the clock of its machine"
-            )
-            self._diagnostics.say(f"clock {name}", text if abs(lead_s) > SKEW_S else None)
+            text = f"the clock of {name!r} is {abs(lead_s):.1f} s {way} the others'{late}"
+            outcome = "its maps count all the same"
+            arrived_s, stray_s = self._stray_s.get(name, (-math.inf, 0.0))
+            if is_stray := now_s - arrived_s < SHOWN_S:
+                outcome = "such poses are left out, and the fused map is stamped by other inputs"
+            if not is_off:
+                text = f"{name!r} has a stamp {stray_s:.0f} s ahead of the clock and other inputs"
+            text += f"; {outcome}; set the clock of its machine"
+            is_named = is_settled and (is_off or is_stray)
+            self._diagnostics.say(f"clock {name}", text if is_named else None)
 
     def remove(self, name: str) -> None:
         """Forget the stamps of an input that was removed."""
         self._ahead_s.pop(name, None)
+        self._stray_s.pop(name, None)
         self._heard = {key: heard for key, heard in self._heard.items() if key[0] != name}
         self._diagnostics.clear(f"clock {name}")
 
     def forget(self) -> None:
         """Forget every stamp, after a jump back of the clock."""
-        self._settled_s = self._clock_s() + SHOWN_S
         self._heard.clear()
         self._ahead_s.clear()
+        self._stray_s.clear()
 
 
 def name_writers(base: NodeBase, sources: Mapping[str, MapSource], output: str) -> str:
@@ -423,7 +429,7 @@ class MapSource:
         self._base.diagnostics.say(f"pose frame {self.name}", text if is_other else None)
         stamp_s = messages.stamp_s(message)
         self._clocks.hear(self.name, "pose", stamp_s)
-        if not self._is_ahead("pose", stamp_s, "it is left out"):
+        if not self._clocks.is_too_far_ahead(self.name, stamp_s):
             self.pose = HeardPose(pose, message.header.stamp, stamp_s, time.monotonic())
             self._on_pose(self, self.pose)
 
@@ -434,18 +440,6 @@ class MapSource:
             text = f"the map of {self.name!r} was in {before!r} and is in {self.frame!r} now"
             self._base.diagnostics.note(f"frame {self.name}", text)
         stamp_s = messages.stamp_s(message)
-        if not self._is_ahead("map", stamp_s, "the fused map is stamped by the others"):
+        if not self._clocks.is_too_far_ahead(self.name, stamp_s):
             self.stamp_s = stamp_s
         return messages.grid_from_message(message, self.name)
-
-    def _is_ahead(self, what: str, stamp_s: float, outcome: str) -> bool:
-        """Whether a stamp is far ahead of the clock and the other inputs; reports it."""
-        ahead_s = self._clocks.too_far_ahead_s(self.name, stamp_s)
-        if ahead_s is None or not self._clocks.is_settled:
-            return ahead_s is not None
-        text = (
-            f"the {what} of {self.name!r} is stamped {ahead_s:.0f} s ahead of the clock, and "
-            f"other inputs are not: {outcome}; set the clock of its machine"
-        )
-        self._base.diagnostics.note(f"ahead {what} {self.name}", text)
-        return True

@@ -64,14 +64,14 @@ def test_no_stamp_comes_twice_and_none_is_of_tomorrow(processes: Processes, obse
     tomorrow = messages.to_stamp(time.time() + DAY_S)
     robot.poses["c"].publish(messages.pose_to_message(Pose2(), "c_map", tomorrow))
     count = len(fused)
-    words = f"is stamped {DAY_S:.0f} s ahead of the clock, and other inputs are not"
-    observer.wait_status(FUSION, f"the pose of 'c' {words}")
+    words = f"has a stamp {DAY_S:.0f} s ahead of the clock and other inputs; such poses are"
+    observer.wait_status(FUSION, f"'c' {words}")
     numbers = itertools.count(99)
 
     def is_named() -> bool:
         makers.send(touched(three()["b"], next(numbers)), stamp_s=time.time() + DAY_S)
         observer.listen(1.0)
-        return f"the map of 'b' {words}" in observer.statuses()[FUSION].message
+        return f"'b' {words}" in observer.statuses()[FUSION].message
 
     observer.wait(is_named, what="the word of the map of tomorrow")
     observer.wait(lambda: len(fused) > count, what="the map with that of tomorrow")
