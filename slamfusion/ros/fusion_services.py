@@ -177,7 +177,8 @@ class FusionServices:
     def _target(self, save_path: str, name: str) -> Path:
         """Return the path of a map to write, without an ending, in the folder or below it."""
         given = user_path(save_path)
-        if given.name in {"", ".."} or save_path.endswith("/") or "\0" in save_path:
+        is_named = given.name not in {"", ".."} and save_path[-1] != "/" and "\0" not in save_path
+        if not is_named or os.path.realpath(given) == str(self._root):
             raise SlamFusionError(f"{name} {save_path!r} names no file; add a name, such as map")
         folder = Path(os.path.realpath(given.parent))
         if folder != self._root and self._root not in folder.parents:

@@ -88,8 +88,9 @@ def test_a_running_fusion_answers(
     assert (tmp_path / "other.bmp").exists()
     refused = live("save", "--path", "/nowhere/lab", code=1)
     assert "not saved: path '/nowhere/lab' leads out of" in refused["message"]
-    for of_folder in (("save", "--path", f"{tmp_path}/"), ("set", "save_path", "")):
-        assert "names no file; add a name" in live(*of_folder, code=1)["message"]
+    assert "names no file; add a name" in live("save", "--path", str(tmp_path), code=1)["message"]
+    for of_folder in (f"{tmp_path}/", ""):
+        assert "names no file" in live("set", "save_path", of_folder, code=1)["message"]
     a_saved_map_becomes_an_input(observer, tmp_path)
     assert live("set", "max_publish_rate_hz", "2.5")["success"]
     answer = {"success": True, "message": "live.search_pause_s is 1000.0 now"}
