@@ -417,3 +417,11 @@ def write_tum(path: str | Path, trajectory: Trajectory) -> None:
             f"{math.sin(half_rad):.12f} {math.cos(half_rad):.12f}\n"
         )
     write_atomic(target, packed_by_name(target, "".join(lines).encode()))
+
+
+def replace_tum(path: Path, trajectory: Trajectory | None) -> None:
+    """Write a trajectory as ``write_tum``; without one remove that of an earlier result."""
+    if trajectory is None:
+        path.unlink(missing_ok=True)
+    else:
+        write_tum(path, trajectory)

@@ -283,8 +283,8 @@ class FusionNode(NodeBase):
         if (kept := self._keeper.restored) is not None:
             self.session.offer(FusedMap(kept.fused, kept.agreement, kept.stamp_s))
         self._shown_votes = 0
-        # Stamp of the last scan of the last published final solution.
-        self._final_s: float | None = None
+        # Stamp of the last scan of the last published final solution; 0 before the first.
+        self._final_s = 0.0
         self._worker: Worker[None] = Worker(self._turn, 1, self.failed, "fusion")
         self._on_inputs([], self.inputs.saved.values())
         self.timer(TURN_S, self._look_turn)
@@ -509,7 +509,7 @@ class FusionNode(NodeBase):
             "resets": snapshot.resets,
             "scans": None if solution is None else len(solution.path),
             "scans dropped": self.drive.scans.dropped,
-            FINAL: None if self._final_s is None else f"{self._final_s:.3f}",
+            FINAL: f"{self._final_s:.3f}" if self.drive.memory.is_drive else None,
             "map [cells]": None if grid is None else f"{grid.width} x {grid.height}",
             "latency median [ms]": snapshot.median_ms,
             "latency p95 [ms]": snapshot.high_ms,

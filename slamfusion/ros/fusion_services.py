@@ -16,7 +16,7 @@ from slamfusion.errors import SlamFusionError
 from slamfusion.io.files import refuse_overwriting, user_path
 from slamfusion.io.lines import saved_files
 from slamfusion.io.map_server import map_sources, save_map
-from slamfusion.io.trajectories import write_tum
+from slamfusion.io.trajectories import replace_tum
 from slamfusion.ros import messages
 from slamfusion.ros.fusion_inputs import saved_path
 from slamfusion.ros.parameters import outcome
@@ -160,8 +160,9 @@ class FusionServices:
             [(f"the map {target}", file) for file in saved_files(target, **kind)],
         )
         written, _ = save_map(published[1], target, **rules)
-        if (solution := node.drive.locator.solution) is not None:
-            write_tum(target.with_name(f"{target.name}.tum"), solution.path)
+        solution = node.drive.locator.solution
+        driven = None if solution is None else solution.path
+        replace_tum(target.with_name(f"{target.name}.tum"), driven)
         where = str(written.resolve())
         node.log.info(f"the fused map is saved as {where!r}")
         node.diagnostics.clear("not saved")

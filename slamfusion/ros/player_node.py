@@ -32,7 +32,7 @@ from slamfusion.io.log import LogScan, ScanLog
 from slamfusion.io.logs import log_sources, open_log
 from slamfusion.io.map_server import save_map
 from slamfusion.io.stamps import AHEAD_S, CONFIRMING
-from slamfusion.io.trajectories import write_tum
+from slamfusion.io.trajectories import replace_tum
 from slamfusion.ros import messages, qos
 from slamfusion.ros.base import DIAGNOSTICS_TOPIC, FINAL, Level, NodeBase, Status, shown
 from slamfusion.ros.frames import TransformOutput
@@ -101,9 +101,10 @@ class PlayerNode(NodeBase):
         self._maps: dict[str, Any] = {}
         self._stems: dict[str, Path] = {}
         self._poses: dict[str, Any] = {}
-        # The newest fused path, serialized, and the stamp up to which the fused map is final.
+        # The newest fused path, serialized; and the stamp up to which the fused map is final, None
+        # if the fusion draws it from no drive.
         self._path: bytes | None = None
-        self._final_s = -math.inf
+        self._final_s: float | None = None
         log = user_path(self.settings.file)
         if self.settings.save is not None:
             self._open_maps(map_topics, user_path(self.settings.save), log)
@@ -339,9 +340,8 @@ class PlayerNode(NodeBase):
             played = f"{counted(self._sent, 'scan')} of {self._log.path}"
             ends = "the maps that have come are saved" if maps else "no map has come to be saved"
             self.log.warning(f"stopped after {played}; {ends}")
-            late = []
-        for topic in late:
-            what = "it is older than the last scan" if topic in maps else "no map came"
+            late = {}
+        for topic, what in late.items():
             self.log.warning(f"the map on {self.resolved(topic)!r}: {what}")
         if not maps and not is_early:
             raise SlamFusionError(f"no map came on {', '.join(self._stems)}")
@@ -350,27 +350,27 @@ class PlayerNode(NodeBase):
             stem.parent.mkdir(parents=True, exist_ok=True)
             path, _ = save_map(messages.grid_from_message(message, topic), stem)
             self.log.info(f"wrote {path}")
-            if topic == MAP_TOPIC and self._path is not None:
-                driven = messages.path_from_bytes(self._path, "fused")
-                write_tum(stem.with_name(f"{stem.name}.tum"), driven)
+            if topic == MAP_TOPIC:
+                data = self._path
+                driven = None if data is None else messages.path_from_bytes(data, "fused")
+                replace_tum(stem.with_name(f"{stem.name}.tum"), driven)
 
-    def _late(self, stamp_s: float) -> list[str]:
-        """Return the topics whose newest map does not hold the scan of a stamp, or is not final."""
-        is_drawn = self._path is not None
-        return [
-            topic
-            for topic in self._stems
-            if topic not in self._maps
-            or messages.stamp_s(self._maps[topic]) < stamp_s - STAMP_TOLERANCE_S
-            or (topic == MAP_TOPIC and is_drawn and self._final_s < stamp_s - FINAL_S)
-        ]
+    def _late(self, stamp_s: float) -> dict[str, str]:
+        """Return why the newest map of a topic is not that of the scan of a stamp, if it is not."""
+        late = {topic: "no map came" for topic in self._stems if topic not in self._maps}
+        for topic, message in self._maps.items():
+            if messages.stamp_s(message) < stamp_s - STAMP_TOLERANCE_S:
+                late[topic] = "it is older than the last scan"
+        if self._final_s is not None and self._final_s < stamp_s - FINAL_S:
+            late.setdefault(MAP_TOPIC, "it is voted, as the path up to the last scan is not solved")
+        return late
 
     def _on_diagnostics(self, message: Any) -> None:
         values = [own for status in message.status for own in status.values]
         with self._changed:
             for own in values:
-                if own.key == FINAL and own.value != shown(None):
-                    self._final_s = float(own.value)
+                if own.key == FINAL:
+                    self._final_s = None if own.value == shown(None) else float(own.value)
             self._changed.notify_all()
 
     def _on_path(self, data: bytes) -> None:

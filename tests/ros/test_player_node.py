@@ -9,6 +9,7 @@ import pytest
 
 pytest.importorskip("rclpy", reason="rclpy is absent: install the extra ros, or source a ROS")
 
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import OccupancyGrid, Odometry
 from rosgraph_msgs.msg import Clock
@@ -17,7 +18,9 @@ from sensor_msgs.msg import LaserScan
 from slamfusion.geometry import Pose2
 from slamfusion.io import open_log
 from slamfusion.ros import messages, qos
+from slamfusion.ros.base import FINAL
 from slamfusion.ros.frames import HAS_TF2, TransformInput
+from tests.fusion.live.maps import three
 from tests.io.bags import Bag
 from tests.ros import tf2
 from tests.ros.drives import FIRST_S, write_log
@@ -141,19 +144,23 @@ def test_the_first_scan_is_sent_again_until_every_producer_hears(
     observer.wait(lambda: len({*map(messages.stamp_s, heard)}) == COUNT, what="every scan")
 
 
-def test_a_fusion_whose_map_is_saved_gets_the_scans_from_the_first_on(
+def test_a_fusion_whose_map_is_saved_gets_every_scan_and_is_waited_for(
     processes: Processes, observer: Observer, tmp_path: Path
 ):
     log = write_log(tmp_path, COUNT)
     heard = observer.collect(LaserScan, "scan")
     answer = observer.publisher(PoseStamped, "one/pose")
-    processes.node(
+    state = observer.publisher(DiagnosticArray, "/diagnostics")
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "fused.tum").write_text("# of an earlier log")
+    player = processes.node(
         "player",
         env={"HOME": str(tmp_path)},
         file=f"~/{log.name}",
         wait_for=["one"],
         maps=["fused/map"],
         save="~/out",
+        rate=20.0,
     )
     # It has found the producer, and still waits.
     observer.wait(answer.get_subscription_count, what="the player")
@@ -162,7 +169,24 @@ def test_a_fusion_whose_map_is_saved_gets_the_scans_from_the_first_on(
     fused = observer.publisher(OccupancyGrid, "fused/map", qos.MAP)
     observer.wait(lambda: heard, what="the first scan")
     assert messages.stamp_s(heard[0]) == FIRST_S
-    fused.destroy()
+    last_s = FIRST_S + 0.1 * (COUNT - 1)
+
+    def solve(until_s: float) -> None:
+        final = KeyValue(key=FINAL, value=f"{until_s:.3f}")
+        state.publish(DiagnosticArray(status=[DiagnosticStatus(values=[final])]))
+
+    # The fused map is not that of the drive before the fusion has solved it.
+    answer.publish(PoseStamped(header=heard[0].header))
+    grid = three()["a"]
+    fused.publish(messages.grid_to_message(grid, "fused_map", messages.to_stamp(last_s)))
+    solve(0.0)
+    observer.wait(lambda: "end of" in player.text(), what="the end of the log")
+    observer.listen(2.0)
+    assert player.is_running
+    solve(last_s)
+    assert player.wait() == 0
+    assert (tmp_path / "out" / "fused.yaml").exists()
+    assert not (tmp_path / "out" / "fused.tum").exists(), "no path came"
 
 
 def test_a_scan_that_is_not_answered_is_sent_again_and_then_named(
