@@ -63,6 +63,8 @@ END_S = 10.0
 SHOWN_S = 10.0
 # Diagnostics key of a jump of the node's clock.
 TIME_JUMP = "time jump"
+# DDS knows a killed process for 20 s. Two writers of one name are two nodes after this, seconds.
+DEAD_KNOWN_S = 45.0
 # A folder of ``slamfusion.sh`` for nodes that were started together, so that only one of them logs
 # what concerns all.
 SESSION_VARIABLE = "SLAMFUSION_SESSION"
@@ -334,6 +336,22 @@ class NodeBase:
             for info in infos
             if info.node_name != UNKNOWN
         )
+
+    def name_writers(self, key: str, topic: str, outcome: str, *, is_sure: bool = False) -> None:
+        """Report several nodes that publish a topic, and the outcome.
+
+        Two of one name may be a dead one and its successor for a while, unless ``is_sure``.
+        """
+        nodes = self.writers(topic)
+        others = sorted(set(nodes))
+        if len(others) > 1:
+            nodes, is_sure = others, True
+        text = (
+            f"{len(nodes)} nodes publish {self.resolved(topic)!r}, "
+            f"{' and '.join(map(repr, nodes))}, and {outcome}"
+        )
+        after_s = 0.0 if is_sure else DEAD_KNOWN_S
+        self.diagnostics.say(key, text if len(nodes) > 1 else None, after_s=after_s)
 
     def senders(self, topic: str, kind: Any) -> str:
         """Return in words who could publish a silent topic."""

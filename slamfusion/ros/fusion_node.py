@@ -497,7 +497,7 @@ class FusionNode(NodeBase):
             words += "; it goes on alone, and no other confirms it"
             level = max(level, Level.WARN)
         update, solution = snapshot.update, self.drive.locator.solution
-        grid = None if published is None else published[1]
+        grid, memory = None if published is None else published[1], self.drive.memory
         values: dict[str, object] = {
             "inputs": len(lines),
             "voters": voters,
@@ -509,7 +509,7 @@ class FusionNode(NodeBase):
             "resets": snapshot.resets,
             "scans": None if solution is None else len(solution.path),
             "scans dropped": self.drive.scans.dropped,
-            FINAL: f"{self._final_s:.3f}" if self.drive.memory.is_drive else None,
+            FINAL: f"{self._final_s:.3f}" if memory.scans and memory.poses else None,
             "map [cells]": None if grid is None else f"{grid.width} x {grid.height}",
             "latency median [ms]": snapshot.median_ms,
             "latency p95 [ms]": snapshot.high_ms,

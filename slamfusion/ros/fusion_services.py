@@ -48,9 +48,9 @@ class FusionServices:
     def __init__(self, node: FusionNode) -> None:
         self._node = node
         self._root = Path(os.path.realpath(user_path(node.settings.save_path).parent))
-        services = [
+        services: list[tuple[Any, str, Callable[[Any, Any], str | None]]] = [
             (GetMap, "get_map", self._get_map),
-            (Trigger, "save_map", self._save_map),
+            (Trigger, "save_map", lambda *_: self._save()),
             (SetParametersAtomically, SAVE_AS, self._save_map_as),
             (LoadMap, "load_map", self._load_map),
             (Trigger, "reset", self._reset),
@@ -67,7 +67,7 @@ class FusionServices:
 
     def carry_out(self, name: str) -> tuple[bool, str]:
         """Execute ``save`` or ``reset``, and return the answer."""
-        answer = {"save": self._save_map, "reset": self._reset}[name]
+        answer = {"save": lambda *_: self._save(), "reset": self._reset}[name]
         response = self._serve(answer)(None, Trigger.Response())
         return bool(response.success), str(response.message)
 
@@ -95,9 +95,6 @@ class FusionServices:
             response.map.header.frame_id = self._node.settings.fused_frame
         else:
             response.map = published[0]
-
-    def _save_map(self, _: Any, __: Any) -> str:
-        return self._save()
 
     def _save_map_as(self, request: Any, _: Any) -> str:
         given = {item.name: parameter_value_to_python(item.value) for item in request.parameters}

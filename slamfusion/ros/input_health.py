@@ -39,9 +39,6 @@ KEPT, LEAST, SPAN_S = 50, 4, 1.0
 # Quantile from above that estimates the clock, robust to stray stamps.
 UPPER = 0.25
 
-# Two writers of one name are not a dead one and its successor after this long, seconds.
-DEAD_KNOWN_S = 45.0
-
 
 class Liveliness:
     """The liveliness of a topic's writers by lease events, seconds on a monotonic clock.
@@ -187,20 +184,12 @@ class Clocks:
 
 def name_writers(base: NodeBase, sources: Mapping[str, MapSource], output: str) -> str:
     """Report inputs with several writers; return another node that writes the output, or empty."""
+    outcome = (
+        "their maps take turns as one input: end one, or give each a topic of its own in inputs"
+    )
     for name, source in sources.items():
-        topic, nodes = source.topic, base.writers(source.topic)
-        single = sorted(set(nodes))
-        nodes = nodes if len(single) == 1 else single
-        text = (
-            f"{len(nodes)} nodes publish {base.resolved(topic)!r}, "
-            f"{' and '.join(map(repr, nodes))}, and their maps take turns as one input: end one, "
-            "or give each a topic of its own in inputs"
-        )
-        # DDS knows a killed process for another 20 s, next to its successor.
-        is_sure = len(single) > 1 or source.liveliness.alive > 1
-        after_s = 0.0 if is_sure else DEAD_KNOWN_S
-        is_shared = len(nodes) > 1
-        base.diagnostics.say(f"writers {name}", text if is_shared else None, after_s=after_s)
+        is_sure = source.liveliness.alive > 1
+        base.name_writers(f"writers {name}", source.topic, outcome, is_sure=is_sure)
     own, writers = base.node.get_fully_qualified_name(), base.writers(output)
     namesake = own if writers.count(own) > 1 else ""
     rival = next((node for node in writers if node != own), namesake)
@@ -399,19 +388,13 @@ class MapSource:
         self._on_map(self, message)
 
     def _take_update(self, update: Any) -> None:
-        reason = "it came before the first map"
-        if self._last is not None:
-            try:
-                self._take_map(messages.updated_map(self._last, update))
-            except GridError as error:
-                reason = str(error)
-            else:
-                return
-        self._left_out += 1
-        text = (
-            f"an update of the map of {self.name!r} is left out ({self._left_out} so far): {reason}"
-        )
-        self._base.diagnostics.note(f"update {self.name}", text)
+        try:
+            self._take_map(messages.updated_map(self._last, update))
+        except GridError as error:
+            self._left_out += 1
+            count = f"{self._left_out} so far"
+            text = f"an update of the map of {self.name!r} is left out ({count}): {error}"
+            self._base.diagnostics.note(f"update {self.name}", text)
 
     def _take_pose(self, message: Any) -> None:
         try:

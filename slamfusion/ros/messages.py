@@ -237,26 +237,19 @@ def grid_from_message(message: Any, name: str) -> grids.OccupancyGrid:
             or upside down.
     """
     info = message.info
-    resolution, height, width = float(info.resolution), int(info.height), int(info.width)
-    problem, origin = "", Pose2()
-    if not (math.isfinite(resolution) and resolution > 0.0):
-        problem = f"resolution must be a positive number of metres per cell, found {resolution}"
-    elif not (height and width):
-        problem = f"a map of {width} x {height} cells is empty"
-    elif len(message.data) != height * width:
-        problem = f"{len(message.data)} cells sent for a map of {width} x {height}"
-    else:
-        try:
-            origin = pose2_from_message(info.origin)
-        except TrajectoryError as error:
-            problem = f"the map's origin: {error}"
-    if problem:
-        raise GridError(f"{name}: {problem}")
+    height, width = int(info.height), int(info.width)
+    if len(message.data) != height * width:
+        found = f"{len(message.data)} cells sent for a map of {width} x {height}"
+        raise GridError(f"{name}: {found}")
+    try:
+        origin = pose2_from_message(info.origin)
+    except TrajectoryError as error:
+        raise GridError(f"{name}: the map's origin: {error}") from None
     cells = np.array(message.data, dtype=np.int8).reshape(height, width)
     cells.flags.writeable = False
     # The shortest decimal of the float32: 0.05 arrives as 0.05000000074505806, and must equal the
     # resolution of saved maps.
-    return grids.OccupancyGrid(cells, float(str(np.float32(resolution))), origin, name)
+    return grids.OccupancyGrid(cells, float(str(np.float32(info.resolution))), origin, name)
 
 
 def grid_to_message(grid: grids.OccupancyGrid, frame_id: str, stamp: Time) -> OccupancyGrid:
@@ -276,29 +269,24 @@ def update_to_message(
     lattices = [(one.origin, one.resolution, one.cells.shape) for one in (before, grid)]
     if lattices[0] != lattices[1]:
         return None
-    changed = before.cells != grid.cells
-    rows, columns = np.flatnonzero(changed.any(axis=1)), np.flatnonzero(changed.any(axis=0))
-    if not len(rows):
+    is_changed = before.cells != grid.cells
+    box = grids.known_box(np.where(is_changed, np.int8(0), np.int8(grids.UNKNOWN)))
+    if box is None:
         return None
-    part = grid.cells[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
-    height, width = part.shape
-    return MapUpdate(
-        header=header,
-        x=int(columns[0]),
-        y=int(rows[0]),
-        width=width,
-        height=height,
-        data=array("b", part.tobytes()),
-    )
+    data = array("b", grid.cells[box.slices()].tobytes())
+    size = {"width": box.width, "height": box.height}
+    return MapUpdate(header=header, x=box.col0, y=box.row0, **size, data=data)
 
 
-def updated_map(message: OccupancyGrid, update: Any) -> OccupancyGrid:
+def updated_map(message: OccupancyGrid | None, update: Any) -> OccupancyGrid:
     """Return a copy of a map with the cells of a map_msgs/OccupancyGridUpdate.
 
     Raises:
-        GridError: the update is empty, outside of the map or in another frame, or either has
-            another number of cells than its size.
+        GridError: there is no map, the update is empty, outside of the map or in another frame, or
+            either has another number of cells than its size.
     """
+    if message is None:
+        raise GridError("it came before the first map")
     info, frame, own = message.info, update.header.frame_id, message.header.frame_id
     x, y, width, height = (int(n) for n in (update.x, update.y, update.width, update.height))
     box, problem = f"{width} x {height} cells at column {x} and row {y}", ""
@@ -343,7 +331,5 @@ def scan_to_message(scan: scans.LaserScan, frame_id: str) -> LaserScan:
     message.time_increment = float(scan.time_increment_s)
     message.range_min = float(scan.range_min_m)
     message.range_max = float(min(scan.range_max_m, float(np.finfo(np.float32).max)))
-    ranges = array("f")
-    ranges.frombytes(scan.ranges.tobytes())
-    message.ranges = ranges
+    message.ranges = array("f", scan.ranges.tobytes())
     return message

@@ -219,8 +219,7 @@ class ProducerNode(NodeBase):
         health, now_s = snapshot.health, time.monotonic()
         heard_s = None if odometry is None else odometry.last_s
         median_ms, high_ms = snapshot.latencies_ms()
-        strays = {"a stamp far from those before and after it": scans.strays}
-        left_out = {**(strays if scans.strays else {}), **snapshot.left_out}
+        left_out = {"a stamp far from those before and after it": scans.strays, **snapshot.left_out}
         values = {
             "scans fed": snapshot.fed,
             "scans used": health.scans_used,
@@ -244,7 +243,7 @@ class ProducerNode(NodeBase):
             "memory [MB]": snapshot.memory_bytes / 1e6,
             "odometry with a stray stamp": None if odometry is None else odometry.strays,
             "last odometry [s ago]": None if heard_s is None else now_s - heard_s,
-            **{f"left out: {key}": count for key, count in left_out.items()},
+            **{f"left out: {key}": count for key, count in left_out.items() if count},
             **{f"not used: {key}": count for key, count in health.skips.counts.items()},
             "scans received": scans.received,
             "scans dropped": scans.dropped,

@@ -249,14 +249,8 @@ class ScanInput:
         """
         is_topic = self._settings.odometry_source == "topic"
         for topic in (SCAN_TOPIC, ODOM_TOPIC) if is_topic else (SCAN_TOPIC,):
-            # One name twice is a killed node and its successor, or named by themselves.
-            nodes = sorted(set(self._base.writers(topic)))
-            text = (
-                f"{len(nodes)} nodes publish {self._base.resolved(topic)!r}, "
-                f"{' and '.join(map(repr, nodes))}, and their messages are mixed: end one, or "
-                f"remap (-r {topic}:=NAME)"
-            )
-            self._base.diagnostics.say(f"writers of {topic}", text if len(nodes) > 1 else None)
+            outcome = f"their messages are mixed: end one, or remap (-r {topic}:=NAME)"
+            self._base.name_writers(f"writers of {topic}", topic, outcome)
         odometry = 0 if self.odometry is None else self.odometry.strays
         found = self.strays, late, odometry
         parts = (

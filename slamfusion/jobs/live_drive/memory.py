@@ -88,11 +88,6 @@ class DriveMemory:
             scans_s = np.array([kept.stamp_s for kept in self.scans])
             self.poses[name] = _revised(own, path, scans_s).tolist()
 
-    @property
-    def is_drive(self) -> bool:
-        """Whether scans and poses of an input have come, so that a path will be solved."""
-        return len(self.scans) >= CHUNKS and any(map(len, [*self.poses.values()]))
-
     def remove(self, name: str) -> None:
         """Forget an input."""
         with self.lock:
