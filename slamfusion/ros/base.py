@@ -95,12 +95,13 @@ class Status:
 
 
 class Diagnostics:
-    """Current problems by key, logged at start and end; thread-safe."""
+    """Current problems by key, logged at start and, in the same words, at end; thread-safe."""
 
     def __init__(self, log: Any) -> None:
         self._log = log
         self._lock = threading.Lock()
-        self._now: dict[str, tuple[Level, str, float]] = {}  # level, text and end time
+        # Level, text, end time and logged text.
+        self._now: dict[str, tuple[Level, str, float, str]] = {}
         self._since_s: dict[str, float] = {}
 
     def say(
@@ -131,9 +132,9 @@ class Diagnostics:
             elif now_s - self._since_s.setdefault(key, now_s) < after_s:
                 return
             else:
-                self._now[key] = level, text, now_s + for_s
+                self._now[key] = level, text, now_s + for_s, before[3] if before else text
         if text is None and before is not None:
-            self._log.info(f"over: {before[1]}")
+            self._log.info(f"over: {before[3]}")
         if text is None or before is not None or (is_of_all and not is_first_to_say(text)):
             return
         # Two calls: rclpy ties a line of code to one level.
@@ -161,9 +162,9 @@ class Diagnostics:
             alive = sorted(self._alive().values(), key=lambda item: -item[0])
         if not alive:
             return Level.OK, fine
-        return alive[0][0], "; ".join(text for _, text, _ in alive)
+        return alive[0][0], "; ".join(text for _, text, *_ in alive)
 
-    def _alive(self) -> dict[str, tuple[Level, str, float]]:
+    def _alive(self) -> dict[str, tuple[Level, str, float, str]]:
         now_s = time.monotonic()
         self._now = {key: item for key, item in self._now.items() if item[2] > now_s}
         return self._now

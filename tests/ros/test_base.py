@@ -41,8 +41,9 @@ def test_troubles_are_said_once_and_the_worst_comes_first(caplog: pytest.LogCapt
     assert diagnostics.worst("fine") == (Level.OK, "fine")
     for _ in range(3):
         diagnostics.say("a", "a is low")
-    diagnostics.say("b", "b is gone", Level.ERROR)
-    assert diagnostics.worst() == (Level.ERROR, "b is gone; a is low")
+    for text in ("b is gone", "b is gone since 2 s"):
+        diagnostics.say("b", text, Level.ERROR)
+    assert diagnostics.worst() == (Level.ERROR, "b is gone since 2 s; a is low")
     diagnostics.clear("b")
     diagnostics.clear("b")
     diagnostics.say("c", "c is late", after_s=600.0)
