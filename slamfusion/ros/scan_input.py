@@ -147,22 +147,20 @@ class ScanInput:
         settings = self._settings
         if settings.laser_source == "parameter":
             return Mount(Pose2(settings.laser_x, settings.laser_y, settings.laser_yaw))
-        frame = scan.message.header.frame_id.lstrip("/")
-        if frame == settings.base_frame:
-            return Mount()
-        assert self.transforms is not None  # noqa: S101  (made for this source)
-        try:
-            mount = self.transforms.mount(
-                settings.base_frame, frame, scan.stamp_s, self._wait_s(scan, self.transforms)
-            )
-        except TransformError as error:
-            what = "send" if error.may_come else "correct"
-            text = (
-                f"scans in {frame!r} cannot be used: {error}; {what} the transform, or set "
-                "laser_source to parameter"
-            )
-            self._base.diagnostics.say("laser", text, Level.ERROR)
-            raise LeftOutError("no transform from the laser") from error
+        frame, mount = scan.message.header.frame_id.lstrip("/"), Mount()
+        if frame != settings.base_frame:
+            assert self.transforms is not None  # noqa: S101  (made for this source)
+            wait_s = self._wait_s(scan, self.transforms)
+            try:
+                mount = self.transforms.mount(settings.base_frame, frame, scan.stamp_s, wait_s)
+            except TransformError as error:
+                what = "send" if error.may_come else "correct"
+                text = (
+                    f"scans in {frame!r} cannot be used: {error}; {what} the transform, or set "
+                    "laser_source to parameter"
+                )
+                self._base.diagnostics.say("laser", text, Level.ERROR)
+                raise LeftOutError("no transform from the laser") from error
         self._base.diagnostics.clear("laser")
         self._base.diagnostics.say("tilt", mount.tilt_note(frame))
         return mount
