@@ -362,7 +362,7 @@ class PlayerNode(NodeBase):
             if messages.stamp_s(message) < stamp_s - STAMP_TOLERANCE_S:
                 late[topic] = "it is older than the last scan"
         if self._final_s is not None and self._final_s < stamp_s - FINAL_S:
-            late.setdefault(MAP_TOPIC, "it is voted, as the path up to the last scan is not solved")
+            late.setdefault(MAP_TOPIC, "it came before the whole drive was solved")
         return late
 
     def _on_diagnostics(self, message: Any) -> None:
