@@ -95,6 +95,15 @@ class OpenCLArray(Generic[Scalar]):
         return OpenCLArray(self.buffer, (rows.stop, *self.shape[1:]), self.dtype)
 
 
+class _Pages(mmap.mmap):
+    """Memory that the system takes back only after the kernels of a queue have ended."""
+
+    queue: Any
+
+    def __del__(self) -> None:
+        self.queue.finish()
+
+
 class OpenCLDevice(ComputeDevice):
     """One OpenCL device with an in-order queue and all kernels, and the arrays on it.
 
@@ -280,7 +289,8 @@ class OpenCLDevice(ComputeDevice):
         size = math.prod(shape) * np.dtype(dtype).itemsize
         if not (self.shares_memory and size):
             return self.cleared(shape, dtype)
-        pages = mmap.mmap(-1, size, mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
+        pages = _Pages(-1, size, mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
+        pages.queue = self.queue
         return self.wrap_host(np.frombuffer(pages, dtype).reshape(shape), writable=True)
 
     def table(self, array: npt.NDArray[Scalar]) -> OpenCLArray[Scalar]:

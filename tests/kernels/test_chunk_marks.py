@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import psutil
+import pyopencl as cl
 import pytest
 
 from slamfusion.compute import ComputeDevice
@@ -70,3 +71,11 @@ def test_where_nothing_is_marked_no_memory_is_taken(pocl: ComputeDevice):
     hits = pocl.zeros((4096, FACINGS, TILE, TILE), np.uint32)
     taken = psutil.Process().memory_info().rss - before
     assert taken < 0.1 * hits.size * hits.dtype.itemsize
+
+
+def test_memory_stays_until_the_kernels_that_write_to_it_have_ended(pocl: ComputeDevice):
+    array = pocl.zeros((1 << 24,), np.uint32)
+    pocl.opencl.fill(array, 1)
+    written = cl.enqueue_marker(pocl.opencl.queue)
+    del array
+    assert written.command_execution_status == cl.command_execution_status.COMPLETE
