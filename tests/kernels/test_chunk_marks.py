@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import psutil
-import pyopencl as cl
 import pytest
 
 from slamfusion.compute import ComputeDevice
@@ -74,8 +73,10 @@ def test_where_nothing_is_marked_no_memory_is_taken(pocl: ComputeDevice):
 
 
 def test_memory_stays_until_the_kernels_that_write_to_it_have_ended(pocl: ComputeDevice):
-    array = pocl.zeros((1 << 24,), np.uint32)
-    pocl.opencl.fill(array, 1)
-    written = cl.enqueue_marker(pocl.opencl.queue)
-    del array
-    assert written.command_execution_status == cl.command_execution_status.COMPLETE
+    count, seen = 1 << 20, pocl.zeros((2, TILE, TILE), np.uint32)
+    rows = pocl.upload(PAGES), 3, 3, pocl.upload(np.repeat(BEAM, count, axis=0).astype(np.int32))
+    zeros = pocl.upload(np.zeros(count, np.int32))
+    hits = pocl.zeros((2, FACINGS, TILE, TILE), np.uint32)
+    marks = pocl.opencl.launch("mark_chunks", (count,), hits, seen, *rows, zeros, zeros, count)
+    del hits
+    assert marks.command_execution_status == 0
