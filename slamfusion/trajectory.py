@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
@@ -13,6 +14,8 @@ from slamfusion.geometry import B8, F64, I64, Pose2, moved_poses
 
 # Stamps with a smaller difference are equal, seconds: files round to milliseconds.
 SAME_STAMP_S = 1e-3
+# The unit nearest to a metre.
+FOOT_M = 0.3048
 
 
 def nearest_stamps(stamps_s: F64, wanted_s: npt.ArrayLike) -> I64:
@@ -35,6 +38,11 @@ def clock_advice(own_s: F64, other_s: F64) -> str:
         f"two clocks, {abs(apart_s):.3f} s apart? use --time-offset {apart_s:.3f}, or "
         "--time-offset auto; else "
     )
+
+
+def is_other_unit(scale: float) -> bool:
+    """Return whether a scale, above 0, is nearer to that of a foot or another unit than to 1."""
+    return abs(math.log(scale)) > -0.5 * math.log(FOOT_M)
 
 
 def flag_runs(flags: B8) -> Iterator[slice]:

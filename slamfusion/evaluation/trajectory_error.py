@@ -9,6 +9,7 @@ from __future__ import annotations
 import logging
 import math
 from dataclasses import dataclass, field
+from operator import itemgetter
 
 import numpy as np
 import scipy
@@ -17,6 +18,7 @@ from slamfusion.config import TrajectoryConfig
 from slamfusion.errors import TrajectoryError, counted
 from slamfusion.evaluation.statistics import ErrorStatistics
 from slamfusion.geometry import (
+    B8,
     F64,
     I64,
     Pose2,
@@ -30,7 +32,7 @@ from slamfusion.geometry import (
 )
 from slamfusion.grid import IDENTITY
 from slamfusion.json_values import POSE
-from slamfusion.trajectory import Trajectory, clock_advice
+from slamfusion.trajectory import Trajectory, clock_advice, is_other_unit
 
 _LOG = logging.getLogger(__name__)
 
@@ -38,9 +40,13 @@ _LOG = logging.getLogger(__name__)
 STEP_S, WINDOW_S = 0.1, 1.0
 # Two paths of one drive correlate by more at the right offset.
 LEAST_CORRELATION = 0.5
-# The unit nearest to a metre.
-FOOT_M = 0.3048
-_ONE_OF_THEM = "%s %s %s (correlation %.2f): is one of them %s?"
+# Share of places and turns that is left of paths that do not correlate; and the spread of a robot
+# that stands still, metres.
+_UNLIKE, STANDS_M = math.sqrt(1.0 - LEAST_CORRELATION**2), 0.1
+# Signs of x, y and yaw of the images of a path.
+_IMAGES = {"y and yaw": (1.0, -1.0, -1.0), "y": (1.0, -1.0, 1.0), "yaw": (1.0, 1.0, -1.0)}
+# Differences of clocks, seconds: the nearest leaves a third of another one, or less.
+_SHIFTS_S = 0.1 * 2.0 ** np.arange(12)
 # Stamps of the same scans differ by one offset and by rounding.
 SAME_SCANS_S = 1e-3
 
@@ -134,22 +140,52 @@ def _windows(path: Trajectory, reference: Trajectory, offset_s: float) -> tuple[
     return _motion(path, times_s, WINDOW_S), _motion(reference, times_s + offset_s, WINDOW_S)
 
 
-def _warn_of_other_frame(path: Trajectory, truth: Trajectory) -> None:
-    """Warn of a path in another unit than the truth, or its mirror image, on the same clock."""
-    own, other = _windows(path, truth, 0.0)
-    lengths = np.maximum(np.linalg.norm((own, other), axis=1), 1e-9)
-    correlations = (own * other).sum(axis=0) / lengths.prod(axis=0)
-    # The 95 % intervals (Fisher, 1915); the windows overlap.
-    apart = len(own) * STEP_S / WINDOW_S
-    error = 1.96 / math.sqrt(apart - 3.0) if apart > 3.0 else math.inf
-    drives, turns = np.arctanh(np.clip(correlations, -0.999, 0.999)).tolist()
-    scale, least = lengths[0, 0] / lengths[1, 0], math.atanh(LEAST_CORRELATION)
-    if drives - error > least and abs(math.log(scale)) > -0.5 * math.log(FOOT_M):
-        how, why = f"moves {scale:.4g} times as far as", "in another unit than metres"
-        _LOG.warning(_ONE_OF_THEM, path.name, how, truth.name, correlations[0], why)
-    if turns + error < -least:
-        how, why = "turns against", "mirrored, with y and yaw negated"
-        _LOG.warning(_ONE_OF_THEM, path.name, how, truth.name, correlations[1], why)
+def _warn_of_better_fit(path: Trajectory, truth: Trajectory, own: I64, true: I64) -> None:
+    """Warn of a path that fits the truth much better mirrored, scaled or later, or that never fits.
+
+    own, true: (M,), indices of the poses that meet in time.
+    """
+    stamps_s, poses, wanted = path.stamps_s[own], path.poses[own], truth.poses[true]
+    spread_m, wanted_m = (math.sqrt(item[:, :2].var(axis=0).sum()) for item in (poses, wanted))
+    found = []
+
+    def compare(how: str, what: str, changed: F64, kept: B8 | slice = np.s_[:]) -> None:
+        errors = [
+            np.sqrt(
+                np.mean(_apart(fit_motion(item, wanted[kept]), item, wanted[kept]) ** 2, axis=1)
+            )
+            for item in (poses[kept], changed[kept])
+        ]
+        # Log-likelihood of a pose, with errors of place and heading of unknown sizes.
+        before, after = np.log(np.maximum(errors, _ROUNDING)).sum(axis=1)
+        found.append((before - after, how, what, errors))
+
+    for negated, signs in _IMAGES.items():
+        compare(f"with {negated} negated", "mirrored", poses * signs)
+    scale = max(wanted_m, _ROUNDING) / max(spread_m, _ROUNDING)
+    if is_other_unit(scale):
+        unit = "in another unit than metres"
+        compare(f"multiplied by {scale:.4g}", unit, poses * (scale, scale, 1.0))
+    for later_s in (*_SHIFTS_S, *-_SHIFTS_S):
+        at_s = stamps_s + later_s
+        kept = (at_s >= path.stamps_s[0]) & (at_s <= path.stamps_s[-1])
+        if 2 * np.count_nonzero(kept) > len(own):
+            later, clock = f"about {later_s:.1f} s later", "on another clock (--time-offset auto)"
+            compare(later, clock, interpolate_poses(at_s, path.stamps_s, path.poses), kept)
+    gain, how, what, errors = max(found, key=itemgetter(0))
+    seconds = np.ptp(stamps_s) / WINDOW_S
+    # The 95 % interval of the difference of two correlations (Fisher, 1915).
+    least = 1.96 * math.sqrt(2.0 / (seconds - 3.0)) if seconds > 3.0 else math.inf
+    if gain > max(least, math.log(2.0)):
+        before, after = (f"{m:.4g} m and {math.degrees(rad):.3g} deg" for m, rad in errors)
+        message = "%s is off %s by %s, but only by %s %s: is one of them %s?"
+        _LOG.warning(message, path.name, truth.name, before, after, how, what)
+        return
+    turns, true_turns = (wrap_angles(np.diff(item[:, 2])) for item in (poses, wanted))
+    is_unlike = np.std(turns - true_turns) > _UNLIKE * np.std(true_turns)
+    if is_unlike and errors[0][0] > _UNLIKE * wanted_m > _UNLIKE * STANDS_M and least < math.inf:
+        message = "%s is off %s by %.4g m, which itself spreads by %.4g m: are they of one drive?"
+        _LOG.warning(message, path.name, truth.name, errors[0][0], wanted_m)
 
 
 def _unlike(path: Trajectory, reference: Trajectory, why: str) -> TrajectoryError:
@@ -243,15 +279,14 @@ def trajectory_errors(
     own, true = associate(estimate, truth, config.tolerance_s)
     if len(own) < 2:
         raise TrajectoryError(_no_match(estimate, truth, len(own), config.tolerance_s))
-    _warn_of_other_frame(estimate, truth)
+    _warn_of_better_fit(estimate, truth, own, true)
     poses, true_poses = estimate.poses[own], truth.poses[true]
     motion = fit_motion(poses, true_poses) if config.alignment == "se2" else IDENTITY
-    aligned = moved_poses(motion, poses)
     travelled_m = travelled(true_poses)
     stamps_s = estimate.stamps_s[own]
 
     # Absolute: of each pose alone.
-    apart = aligned[:, :2] - true_poses[:, :2]
+    translation_m, rotation_rad = _apart(motion, poses, true_poses)
 
     # Relative: of the motion between two poses, independent of the frame.
     progress = {
@@ -263,8 +298,6 @@ def trajectory_errors(
     made = compose_poses(invert_poses(poses[first]), poses[second])
     wanted = compose_poses(invert_poses(true_poses[first]), true_poses[second])
     left = compose_poses(invert_poses(wanted), made)
-    translation_m = np.hypot(apart[:, 0], apart[:, 1])
-    rotation_rad = np.abs(wrap_angles(aligned[:, 2] - true_poses[:, 2]))
     relative_m = np.hypot(left[:, 0], left[:, 1])
     relative_rad = np.abs(wrap_angles(left[:, 2]))
     return TrajectoryErrors(
@@ -283,7 +316,7 @@ def trajectory_errors(
         time_offset_s=float(truth.stamps_s[0] - began_s),
         name=estimate.name,
         truth=truth.name,
-        aligned=aligned,
+        aligned=moved_poses(motion, poses),
         stamps_s=stamps_s,
         translation_m=translation_m,
         rotation_rad=rotation_rad,
@@ -302,6 +335,12 @@ def associate(first: Trajectory, second: Trajectory, tolerance_s: float) -> tupl
     # Of poses that are equally near to one, such as those of one stamp, the first is the pair.
     paired, firsts = np.unique(there[own], return_index=True)
     return own[firsts], paired
+
+
+def _apart(motion: Pose2, poses: F64, wanted: F64) -> F64:
+    """Return the errors of place and heading of moved poses, (2, N) m and rad."""
+    apart = moved_poses(motion, poses) - wanted
+    return np.stack((np.hypot(apart[:, 0], apart[:, 1]), np.abs(wrap_angles(apart[:, 2]))))
 
 
 def _pairs(progress: F64, delta: float) -> tuple[I64, I64]:

@@ -161,10 +161,26 @@ def test_a_path_that_is_too_short_for_it_is_not_called_mirrored(
         )
         trajectory_errors(path, truth)
     assert "mirrored" not in caplog.text
-    turns = drive(60)
-    image = replace(turns, poses=turns.poses * (1.0, -1.0, -1.0))
-    trajectory_errors(replace(turns, name="slam"), image)
-    assert "slam turns against" in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("path", "factors", "what"),
+    [
+        (drive(), (1, -1, -1), "with y and yaw negated: is one of them mirrored?"),
+        (drive(), (1, -1, 1), "with y negated: is one of them mirrored?"),
+        (drive(), (1, 1, -1), "with yaw negated: is one of them mirrored?"),
+        (drive(), (100, 100, 1), "multiplied by 0.01: is one of them in another unit than metres?"),
+        (drive().later(1.5), (1, 1, 1), "about 1.6 s later: is one of them on another clock"),
+        (drive(seed=2), (1, 1, 1), "by 3.178 m, which itself spreads by 2.517 m: are they of one"),
+        (drive(noise=0.05), (1, 1, 1), ""),
+    ],
+)
+def test_a_path_that_fits_the_truth_only_if_it_is_changed_is_named(
+    path: Trajectory, factors: tuple[int, ...], what: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    trajectory_errors(replace(path, poses=path.poses * factors), drive())
+    assert len(caplog.messages) == bool(what)
+    assert what in caplog.text
 
 
 # --- evo as the judge ----------------------------------------------------------------------------
