@@ -91,6 +91,8 @@ PATH = course()
         (course(length=0.8, turn=1.3), PATH, ["0.77 times as far", "1.25 times as long"]),
         (in_degrees(PATH), PATH, ["is in degrees"]),
         (course(seed=1), PATH, ["turns unlike"]),
+        (PATH, course(turn=0.0), ["turns unlike"]),
+        (PATH, replace(PATH, poses=PATH.poses * (1e3, 1e3, 1.0)), ["another unit than metres"]),
     ],
 )
 def test_what_contradicts_the_odometry(

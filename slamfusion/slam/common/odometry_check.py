@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from slamfusion.geometry import F64, compose_poses, invert_poses, travelled, wrap_angles
-from slamfusion.trajectory import Trajectory, flag_runs
+from slamfusion.trajectory import Trajectory, flag_runs, is_other_unit
 
 # Distance of the path, metres, at constant odometry: more than the noise of scan matching, less
 # than the distance that a dead encoder misses on a drive.
@@ -30,7 +30,8 @@ STEP = 0.5
 TURNING_RAD, DRIVING_M = 0.2, 0.2
 # Least number of steps of a kind for a judgement.
 LEAST_STEPS = 10
-# Steps agree if they differ from their median by no more, as a share of the step.
+# Steps agree if they differ from their median by no more, as a share of the step and, of turns, of
+# the shorter one.
 SPREAD = 0.4
 # Least share of the steps that must agree.
 TOGETHER = 0.5
@@ -40,6 +41,10 @@ OFFSET_RAD, SCALE = math.radians(5.0), 0.1
 DEGREES = (1.0, 1.0, math.pi / 180.0)
 # Least angle at which the laser looks back.
 BACKWARD_RAD = math.radians(150.0)
+_UNLIKE = (
+    "the path {} unlike the odometry ({:.0%} of the {} agree): one of them is of another robot or "
+    "drive, or tracking was lost; look at the map"
+)
 
 
 @dataclass(frozen=True)
@@ -79,14 +84,15 @@ def fit_odometry(
     if len(turning) >= LEAST_STEPS:
         ratios = steps[turning, 1, 2] / steps[turning, 0, 2]
         turn = float(np.median(ratios))
-        turns_together = float((np.abs(ratios - turn) <= SPREAD).mean())
+        turns_together = float((np.abs(ratios - turn) <= SPREAD * min(1.0, abs(turn))).mean())
     if len(moving) < LEAST_STEPS:
         return OdometryFit(turn, None, None, turns_together, 0.0)
     steps = steps[moving]
     lengths = np.hypot(steps[..., 0], steps[..., 1])
     driving = lengths.min(axis=1) >= DRIVING_M
     if not driving.any():
-        return OdometryFit(turn, None, 0.0, turns_together, 0.0)
+        length = float(lengths[:, 1].sum() / max(lengths[:, 0].sum(), STANDS))
+        return OdometryFit(turn, None, length, turns_together, 0.0)
     # On an arc the robot drives where it looks half-way.
     angles = np.arctan2(steps[driving, :, 1], steps[driving, :, 0]) - 0.5 * steps[driving, :, 2]
     askew = wrap_angles(angles[:, 1] - angles[:, 0])
@@ -138,32 +144,33 @@ def contradictions(
         if _turns_alike(fit_odometry(radians, path, newest=newest)):
             yield "the yaw of the odometry is in degrees: give it in radians"
             return
+    length = fit.length or 1.0
+    if is_other_unit(length):
+        scaled = replace(odometry, poses=odometry.poses * (length, length, 1.0))
+        if not _drives_unlike(fit_odometry(scaled, path, newest=newest)):
+            yield (
+                f"the path moves {length:.4g} times as far as the odometry: is one of them in "
+                "another unit than metres?"
+            )
+            return
     if fit.turn is not None and fit.turns_together < TOGETHER:
-        yield (
-            f"the path turns unlike the odometry ({100 * fit.turns_together:.0f} % of the turns "
-            "agree): the odometry is of another robot or drive, or tracking was lost; look at the "
-            "map"
-        )
+        yield _UNLIKE.format("turns", fit.turns_together, "turns")
         return
     # A wrong wheel radius changes turns as much as lengths.
     turn = 1.0 if fit.turn is None else fit.turn
-    if turn > 0.0 and min(abs(turn / usual - 1.0) for usual in (1.0, fit.length or 1.0)) > SCALE:
+    if turn > 0.0 and min(abs(turn / usual - 1.0) for usual in (1.0, length)) > SCALE:
         yield (
             f"the path turns {turn:.2f} times as far as the odometry: check the distance "
             "between the wheels that the odometry assumes"
         )
     if _drives_unlike(fit):
-        yield (
-            f"the path drives unlike the odometry ({100 * fit.drives_together:.0f} % of the steps "
-            "agree): the odometry is of another robot or drive, or tracking was lost; look at the "
-            "map"
-        )
+        yield _UNLIKE.format("drives", fit.drives_together, "steps")
         return
     faults = list(_laser_faults(fit))
     yield from faults
-    if not faults and fit.length is not None and abs(fit.length - 1.0) > SCALE:
+    if not faults and abs(length - 1.0) > SCALE:
         yield (
-            f"the path is {fit.length:.2f} times as long as the odometry: check the wheel radius "
+            f"the path is {length:.2f} times as long as the odometry: check the wheel radius "
             "that the odometry assumes"
         )
 
