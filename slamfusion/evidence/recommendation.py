@@ -8,8 +8,9 @@ the best single SLAM is the one closest to it.
 A place is one to check if walls there are displaced (``find_displacements``), or if a tied path has
 parted there and neither most of the SLAMs nor the scans of that time support the answer. So is a
 part of the drive for which a path has no pose, because no path is judged there. If walls are
-displaced in a quarter of the drive, or most of what the robot saw was free space at other times, or
-before some time (``find_contradiction``), the confidence is low.
+displaced in a quarter of the drive, most of what the robot saw was free space before some time
+(``find_contradiction``), or the map of the path explains hits worse than an unseen place does, the
+confidence is low.
 """
 
 from __future__ import annotations
@@ -23,9 +24,9 @@ import numpy as np
 from slamfusion.errors import counted
 from slamfusion.evidence.beams import CHUNKS
 from slamfusion.evidence.displacement import (
-    CONTRADICTED,
     DOUBTED,
     LITTLE_SEEN,
+    PRICE,
     contradicted_share,
     find_contradiction,
     find_displacements,
@@ -298,13 +299,16 @@ def _checks(
         what = "little was seen a second time, so nothing confirms the path"
         add(0.0, float(since_s[-1]), float(since_s[-1]), 0.0, what)
     contradicted = contradicted_share(evidence, path)
-    if contradicted > DOUBTED:
-        what = f"{contradicted:.0%} of what the robot saw was free space at other times"
+    is_contradicted = evidence.scores[path].seen_consistency < PRICE
+    if is_contradicted or contradicted > DOUBTED:
+        free = f"{contradicted:.0%} of what the robot saw was free space at other times"
+        worse = "what the robot saw at other times predicts the scans worse than nothing"
+        what = worse if is_contradicted else free
         add(0.0, float(since_s[-1]), float(since_s[-1]), contradicted, what)
     first = sorted(found, key=lambda item: -item[0])[:MOST_CHECKS]
     check = tuple(sorted((place for _, place in first), key=lambda place: place.from_s))
     parted = sum(part.away_m >= PART_M for part in displaced)
-    if contradicted > CONTRADICTED or parted > BENT * CHUNKS or broken is not None:
+    if is_contradicted or parted > BENT * CHUNKS or broken is not None:
         return check, "low"
     return check, "medium" if check else "high"
 

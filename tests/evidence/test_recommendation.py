@@ -100,12 +100,15 @@ def test_a_right_path_is_green_whatever_stands_in_the_way(device: ComputeDevice)
     assert answer.headline == "Use the a path: no scan contradicts it"
 
 
-def test_a_path_whose_map_is_elsewhere_each_time_is_red(device: ComputeDevice):
-    """Every part of the drive lies elsewhere, so that its walls stand in what others saw free."""
-    off = np.random.default_rng(0).normal(0.0, 2.0, (CHUNKS, 3))
+@pytest.mark.parametrize(("off_m", "factors"), [(2.0, (1.0, 1.0, 1.0)), (0.0, (0.5, 0.5, 1.3))])
+def test_a_path_whose_map_is_elsewhere_each_time_is_red(
+    device: ComputeDevice, off_m: float, factors: tuple[float, ...]
+):
+    """Walls stand in what others saw free, or where the path is of another drive everywhere."""
+    off = np.random.default_rng(0).normal(0.0, off_m, (CHUNKS, 3))
     off[:, 2] *= 0.1
     scans = judged_scans(recorded(ROUNDS, odometry=False))
-    lost = Trajectory(ROUNDS.stamps_s, ROUNDS.poses + off[scans.chunks])
+    lost = Trajectory(ROUNDS.stamps_s, ROUNDS.poses * factors + off[scans.chunks])
     evidence = score_paths(scans, {"lost": lost, "right": ROUNDS}, device)
     assert answer_of(evidence.of_paths(("lost",))).confidence == "low"
     # With a right one among them that is the answer.
