@@ -262,7 +262,7 @@ START_M = 2.0
 START_RAD = 0.35
 START_FORM = "x,y,yaw or x,y,yaw,metres,radians"
 POSE, POSE_AND_TOLERANCES = 3, 5
-YAW = 2
+ANGLES = {2: "yaw", 4: "tolerance of the yaw"}
 DEGREES = "deg"
 
 
@@ -270,11 +270,11 @@ def checked_start(given: Any, where: str) -> tuple[float, ...]:
     """Return a start as 3 numbers (x, y in m, yaw in rad) or 5 (and tolerances in m and rad).
 
     Args:
-        given: numbers, or a text of them with commas. The yaw may be in degrees: ``46.4deg``.
+        given: numbers, or a text of them with commas. Angles may be in degrees: ``46.4deg``.
 
     Raises:
-        StartError: another count of numbers, one that is not finite, a negative tolerance, or a yaw
-            of more than two turns.
+        StartError: another count of numbers, one that is not finite, a negative tolerance, or an
+            angle of more than two turns.
     """
     parts = given.split(",") if isinstance(given, str) else given
     is_row = isinstance(parts, Sequence) and not isinstance(parts, bytes)
@@ -282,18 +282,20 @@ def checked_start(given: Any, where: str) -> tuple[float, ...]:
     if is_row and not any(isinstance(part, bool) for part in parts):
         with suppress(TypeError, ValueError, OverflowError):
             values = tuple(
-                _yaw_rad(part) if place == YAW else float(part) for place, part in enumerate(parts)
+                _angle_rad(part) if place in ANGLES else float(part)
+                for place, part in enumerate(parts)
             )
     is_right = len(values) in {POSE, POSE_AND_TOLERANCES} and all(map(math.isfinite, values))
     if not is_right or any(value < 0.0 for value in values[POSE:]):
         found = ",".join(map(_shown, parts[:10])) if is_row else shown(given)
         wanted = f"wanted {START_FORM}, all finite, tolerances from 0"
         raise StartError(f"{where}: {wanted}; found {found}")
-    if abs(values[YAW]) > YAW_MOST_RAD:
-        raise StartError(
-            f"{where}: the yaw must lie within {YAW_MOST_RAD:.2f} radians, found "
-            f"{values[YAW]:g}; if these are degrees, write {values[YAW]:g}{DEGREES}"
-        )
+    for place, value in enumerate(values):
+        if place in ANGLES and abs(value) > YAW_MOST_RAD:
+            raise StartError(
+                f"{where}: the {ANGLES[place]} must lie within {YAW_MOST_RAD:.2f} radians, found "
+                f"{value:g}; if these are degrees, write {value:g}{DEGREES}"
+            )
     return values
 
 
@@ -307,8 +309,8 @@ def checked_starts(given: Any) -> dict[str, tuple[float, ...]]:
     return {name: checked_start(own, f"start: {name}") for name, own in named.items()}
 
 
-def _yaw_rad(given: Any) -> float:
-    """Return a yaw in radians; text that ends in ``deg`` is in degrees."""
+def _angle_rad(given: Any) -> float:
+    """Return an angle in radians; text that ends in ``deg`` is in degrees."""
     if isinstance(given, str) and given.strip().endswith(DEGREES):
         return math.radians(float(given.strip().removesuffix(DEGREES)))
     return float(given)

@@ -23,6 +23,7 @@ BAD = {
     "map_a=1,2": f"map_a: {WANTED}; found 1,2",
     "map_a=1deg,2,3": f"map_a: {WANTED}; found 1deg,2,3",
     "map_a=1,2,-90": "found -90; if these are degrees, write -90deg",
+    "map_a=1,2,3,1,20": "found 20; if these are degrees, write 20deg",
     "map_a=1,2,3,-0.1,1": f"map_a: {WANTED}; found 1,2,3,-0.1,1",
     "=1,2,3": "wanted NAME=x,y,yaw or NAME=x,y,yaw,metres,radians, found '=1,2,3'",
 }
@@ -102,6 +103,7 @@ def test_starts_of_the_file_hold_unless_the_option_says_otherwise(tmp_path: Path
     assert done.stderr.startswith(f"slamfusion: error: {path}: start: map_b: {WANTED}")
 
 
-def test_a_yaw_may_be_in_degrees() -> None:
-    found = json_of(run_here("align", TRUTH, MAPS[1], "--start", "-0.2,-0.2,-126.05deg", "--json"))
-    assert found["config"]["start"]["map_b"] == pytest.approx([-0.2, -0.2, -2.2], abs=1e-4)
+def test_angles_may_be_in_degrees() -> None:
+    asked = ("align", TRUTH, MAPS[1], "--start", "-0.2,-0.2,-126.05deg,2,20deg", "--json")
+    found = json_of(run_here(*asked))["config"]["start"]["map_b"]
+    assert found == pytest.approx([-0.2, -0.2, -2.2, 2.0, 0.34907], abs=1e-4)
