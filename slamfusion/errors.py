@@ -5,10 +5,14 @@ A message gives what was wanted, what was found, where, and what to do. ``OSErro
 
 from __future__ import annotations
 
+import os
 import reprlib
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
+
+OUT_OF_MEMORY = "out of memory; free some, crop the maps or use a coarser cell"
 
 _SHORT = reprlib.Repr()
 _SHORT.maxstring = _SHORT.maxother = _SHORT.maxlong = 60
@@ -103,6 +107,28 @@ class AlignmentError(SlamFusionError):
 
 class MemoryBudgetError(SlamFusionError):
     """The work needs more memory than the machine has free; nothing was allocated."""
+
+
+def error_text(error: Exception, path: Path | None = None) -> str:
+    """Return the message of an error; what the operating system said follows the file.
+
+    path: is left out at the start of the message.
+    """
+    if isinstance(error, MemoryError):
+        return OUT_OF_MEMORY
+    text = str(error)
+    if isinstance(error, OSError):
+        is_absent = isinstance(error, FileNotFoundError)
+        reason = "no such file" if is_absent else error.strerror or text
+        has_name = isinstance(error.filename, (str, bytes))
+        where = f"{os.fsdecode(error.filename)}: " if has_name else ""
+        advice = {
+            FileNotFoundError: "; check the path",
+            PermissionError: "; check its permissions",
+            IsADirectoryError: "; name a file in it",
+        }.get(type(error), "")
+        text = f"{where}{reason}{advice}"
+    return text.removeprefix(f"{path}: ")
 
 
 @contextmanager

@@ -49,8 +49,7 @@ def command(files: tuple[Path, ...], plot_path: Path | None) -> None:
     found = jobs.compare.compare_results(files)
     if plot_path is not None:
         jobs.compare.write_comparison_plot(found, plot_path)
-    for sentence in found.notes:
-        notice(sentence)
+    notice(*found.notes)
     if print_if_json(found):
         return
     print_comparison(found)

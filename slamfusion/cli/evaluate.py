@@ -86,7 +86,7 @@ def command(
         )  # fmt: skip
     pages = [] if report_dir is None else found.write(report_dir)
     evaluations = [item.evaluation for item in found.maps]
-    tables.tell_unaligned(evaluations)
+    output.notice(*jobs.fuse_documents.unaligned_sentences(evaluations))
     rows = found.rows()
     results.save_results(
         found, [*rows, *found.distance_rows()], lambda: _inputs(paths, found.truths, distances_path)

@@ -132,8 +132,7 @@ def command(
         if store
         else jobs.fuse.save_fused_maps(fused, stem, report=report_dir, image_format=image_format)
     )
-    for sentence in jobs.fuse_documents.left_out_sentences(fused.result):
-        output.notice(sentence)
+    output.notice(*jobs.fuse_documents.left_out_sentences(fused.result))
     for path, own in zip(fused.stores, fused.stems, strict=True):
         if own is None:
             output.notice(f"{path}: too large for a map server; its files are not written")
@@ -151,7 +150,7 @@ def _print_result(fused: jobs.fuse.FusedMaps, stem: Path, report_dir: Path | Non
     if fused.stores:
         return
     if fused.evaluations:
-        tables.tell_unaligned(fused.evaluations)
+        output.notice(*jobs.fuse_documents.unaligned_sentences(fused.evaluations))
         tables.print_evaluations(fused.evaluations)
     others = fused.result.others
     _, *stems = outputs.group_stems(stem, 1 + len(others))

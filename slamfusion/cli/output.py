@@ -78,9 +78,10 @@ def is_verbose() -> bool:
     return settings().verbose
 
 
-def notice(text: str) -> None:
-    """Print one sentence about this run to stderr."""
-    print(wrapped(f"slamfusion: {one_line(text)}", sys.stderr), file=sys.stderr)
+def notice(*sentences: str, of: str = "") -> None:
+    """Print sentences about this run to stderr, each on a line, after what they are about."""
+    for text in sentences:
+        print(wrapped(f"slamfusion: {of}{one_line(text)}", sys.stderr), file=sys.stderr)
 
 
 def say(text: str, indent: int = 0) -> None:

@@ -18,7 +18,7 @@ from click.shell_completion import shell_complete
 
 from slamfusion.cli.help import Group
 from slamfusion.cli.output import Settings, one_line, print_json
-from slamfusion.errors import SlamFusionError
+from slamfusion.errors import SlamFusionError, error_text
 from slamfusion.version import __version__
 
 # Every command: where it is, and what it does. A module is loaded when its command is used.
@@ -48,7 +48,6 @@ EXIT_INTERRUPTED = 130
 EXIT_PIPE_CLOSED = 141
 # The variable by which a shell asks for completions: bash_source, zsh_complete, ...
 COMPLETE = "_SLAMFUSION_COMPLETE"
-OUT_OF_MEMORY = "out of memory; free some, crop the maps or use a coarser cell"
 
 
 @click.group(cls=Group, table=COMMANDS, context_settings={"help_option_names": ["-h", "--help"]})
@@ -136,7 +135,7 @@ def _run(arguments: list[str], settings: Settings) -> int:
         elif isinstance(error, ImportError):
             raise
         else:
-            code = _fail(_describe(error), settings)
+            code = _fail(error_text(error), settings)
     return code if isinstance(code, int) else 0
 
 
@@ -179,23 +178,6 @@ def _fail(message: str, settings: Settings) -> int:
 def _say(message: str) -> None:
     with contextlib.suppress(OSError):
         print(f"slamfusion: {one_line(message)}", file=sys.stderr)
-
-
-def _describe(error: Exception) -> str:
-    """Return the message of an error; what the operating system said follows the file."""
-    if isinstance(error, MemoryError):
-        return OUT_OF_MEMORY
-    if not isinstance(error, OSError):
-        return str(error)
-    is_absent = isinstance(error, FileNotFoundError)
-    reason = "no such file" if is_absent else error.strerror or str(error)
-    where = f"{os.fsdecode(error.filename)}: " if isinstance(error.filename, (str, bytes)) else ""
-    advice = {
-        FileNotFoundError: "; check the path",
-        PermissionError: "; check its permissions",
-        IsADirectoryError: "; name a file in it",
-    }.get(type(error), "")
-    return f"{where}{reason}{advice}"
 
 
 def _drop_stdout() -> None:

@@ -228,13 +228,12 @@ def _print(run: jobs.run_files.LogRun) -> None:
                 print(f"{item.name}: {item.detail}", file=sys.stderr)
     if not settings.as_json:
         _print_tables(run)
-    tables.tell_unaligned(run.evaluations)
-    for fault in run.log_faults():
-        output.notice(": ".join(fault))
+    output.notice(
+        *jobs.fuse_documents.unaligned_sentences(run.evaluations), *map(": ".join, run.log_faults())
+    )
     warnings = run.sentences()
     if settings.as_json or settings.verbose:
-        for sentence in warnings:
-            output.notice(sentence)
+        output.notice(*warnings)
     elif warnings:
         output.notice(f"{counted(len(warnings), 'warning')} in the report; --verbose prints them")
     output.print_if_json(run)
@@ -351,8 +350,7 @@ def _run_several(
     ):
         runs = jobs.run_many.run_logs(tasks, config, given, executor=executor, progress=progress)
     for run in runs:
-        for sentence in run.warnings:
-            output.notice(f"{run.name}: {sentence}")
+        output.notice(*run.warnings, of=f"{run.name}: ")
     document = jobs.run_many.RunsDocument(runs, Settings(config))
     rows = [row for run in runs for row in run.rows]
     logs = list(dict.fromkeys(task.log for task in tasks))

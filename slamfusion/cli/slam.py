@@ -123,8 +123,7 @@ def _run(
     if mapped.failure is not None:
         message = f"{mapped.failure} (the map and the path were written all the same)"
         raise SlamFusionError(message) from mapped.failure
-    for sentence in mapped.notices():
-        notice(f"{name}: {sentence}")
+    notice(*mapped.notices(), of=f"{name}: ")
     if print_if_json(saved):
         return
     _print(mapped.result, log)
@@ -154,6 +153,7 @@ def _run_seeds(
             progress("seeds", done, len(stems))
             own = replace(config, seed=seed or 0)
             mapped = jobs.map_log.map_log(log, name, own, progress=progress, warn=notice, **asked)
+            notice(*mapped.notices(), of=f"{name} seed {seed}: ")
             saved.append(jobs.map_log.save_mapped_log(mapped, stem, probabilities=probabilities))
             result = mapped.result
             figures: dict[str, float | None] = {**result.measures.figures()}
@@ -181,5 +181,4 @@ def _print(result: jobs.map_log.ProducerResult, log: Path) -> None:
     if result.measures.relations is not None or result.measures.truth is not None:
         tables.print_measures(run.trajectory, result.measures)
     if result.map_error is not None:
-        tables.tell_unaligned([result.map_error])
         tables.print_evaluations([result.map_error])

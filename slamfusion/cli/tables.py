@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import click
 
 from slamfusion import evaluation, jobs
-from slamfusion.cli.output import Table, is_verbose, notice, say, wrapped
+from slamfusion.cli.output import Table, is_verbose, say, wrapped
 from slamfusion.errors import counted
 from slamfusion.jobs.records import number
 
@@ -123,13 +123,6 @@ def _cells(found: Alignment, accepted: str) -> list[str]:
         number(found.overlap),
         number(None if found.runner_up is None else found.runner_up.ratio, 2),
     ]
-
-
-def tell_unaligned(evaluations: Sequence[jobs.fuse_documents.Evaluation]) -> None:
-    """Tell why maps could not be aligned with the truth: they may be mirrored, for example."""
-    for item in evaluations:
-        if item.alignment is not None and not item.aligned:
-            notice(f"not aligned: {item.name}: {item.alignment.reason}")
 
 
 def print_evaluations(evaluations: Sequence[jobs.fuse_documents.Evaluation]) -> None:

@@ -27,6 +27,11 @@ class Evaluation(MapError):  # noqa: N818  (a measure, no exception)
     alignment: Alignment | None
     """The alignment with the truth; null: the map was taken as it lies."""
 
+    @property
+    def why_not(self) -> str:
+        """Why the map could not be aligned; empty if it counts as aligned."""
+        return "" if self.alignment is None or self.aligned else self.alignment.reason
+
 
 @dataclass(frozen=True, kw_only=True)
 class FusedInput:
@@ -239,6 +244,11 @@ def fusion_sentences(
     share = "" if doubled is None else f"{doubled.added_by_fusion:.1%} of the walls doubled, "
     cells = f"{counted(result.phantom_cells, 'cell')} occupied in no input"
     return text, f"The vote: {cells}, {share}{result.time_s:.1f} s."
+
+
+def unaligned_sentences(evaluations: Sequence[Evaluation]) -> list[str]:
+    """Return why maps could not be aligned with the truth: they may be mirrored, for example."""
+    return [f"not aligned: {item.name}: {item.why_not}" for item in evaluations if item.why_not]
 
 
 def left_out_sentences(result: Fusion) -> list[str]:

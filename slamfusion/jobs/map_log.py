@@ -138,6 +138,8 @@ class MappedLog:
                 f"stopped after {counted(len(run.feed_s), 'scan')}, as asked for; the rest of "
                 f"{log} is not in the map"
             )
+        if (error := self.result.map_error) is not None and error.why_not:
+            sentences.append(f"not aligned: {error.why_not}")
         return (*sentences, *run.warnings)
 
 

@@ -10,10 +10,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from slamfusion.config import RunConfig
-from slamfusion.errors import SlamFusionError
+from slamfusion.errors import SlamFusionError, error_text
 from slamfusion.evaluation.measured import Measures, Row, map_figures, result_rows
 from slamfusion.evidence.recommendation import Recommendation
 from slamfusion.fleet import as_done
+from slamfusion.jobs.fuse_documents import unaligned_sentences
 from slamfusion.jobs.inputs import Progress, check_count, distinct_names
 from slamfusion.jobs.outputs import FUSED, REPORT, RUN_RECORD
 from slamfusion.jobs.records import Settings
@@ -174,7 +175,7 @@ def run_one(
         )
         run = save_run(run, task.folder, probabilities=task.probabilities)
     except (SlamFusionError, OSError) as error:
-        words, host = " ".join(str(error).split()), socket.gethostname()
+        words, host = " ".join(error_text(error, task.log).split()), socket.gethostname()
         if host != task.host:  # a folder may be missing on that machine
             words += f" (on {host})"
         return RunOfLog(
@@ -196,7 +197,12 @@ def outcome(task: LogTask, run: LogRun, warnings: Sequence[str]) -> RunOfLog:
         fused_count=0 if run.usable is None else len(run.usable.accepted),
         recommendation=run.recommendation,
         error=run.error,
-        warnings=(*warnings, *map(": ".join, run.log_faults()), *run.sentences()),
+        warnings=(
+            *warnings,
+            *unaligned_sentences(run.evaluations),
+            *map(": ".join, run.log_faults()),
+            *run.sentences(),
+        ),
         not_measured=run.not_measured,
         time_s=run.time_s,
         rows=run_rows(run, task.case, "" if task.seed is None else str(task.seed)),

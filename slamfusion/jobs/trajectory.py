@@ -8,7 +8,7 @@ from itertools import zip_longest
 from pathlib import Path
 
 from slamfusion.config import RunConfig
-from slamfusion.errors import SlamFusionError
+from slamfusion.errors import SlamFusionError, error_text
 from slamfusion.evaluation.measured import GroundTruth, MeasuredPath, Row, rankings, result_rows
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import read_trajectory
@@ -93,8 +93,7 @@ def measure_trajectories(
         except (SlamFusionError, OSError) as error:
             if len(placed) == 1:
                 raise
-            why = (error.strerror if isinstance(error, OSError) else None) or str(error)
-            not_measured.append(f"{item.path}: {why.removeprefix(f'{item.path}: ')}")
+            not_measured.append(f"{item.path}: {error_text(error, item.path)}")
             continue
         found.append(
             MeasuredTrajectory(

@@ -10,6 +10,7 @@ import pytest
 
 from slamfusion.cli.program import run_program
 from slamfusion.jobs.run_many import log_tasks
+from tests.cli.command import MAPS
 from tests.slam.drives import write_flat
 from tests.support.documents import check_document
 
@@ -26,8 +27,12 @@ def test_slam_runs_each_seed_and_prints_their_mean_and_deviation(
 ) -> None:
     words = ["slam", "tinyslam", str(place / "flat.log.gz"), "-o", str(place / "t")]
     words += ["--seeds", "3-4", "--truth", str(place / "truth.tum")]
-    assert run_program([*words, "--table", str(place / "table.tex")]) == 0
-    printed = capsys.readouterr().out
+    other = ["--truth-map", str(MAPS[0])]
+    assert run_program([*words, *other, "--table", str(place / "table.tex")]) == 0
+    printed, notices = capsys.readouterr()
+    assert [line.split(": ")[1:3] for line in notices.splitlines() if "not aligned" in line] == [
+        [f"tinyslam seed {seed}", "not aligned"] for seed in (3, 4)
+    ]
     rows = [line.split("\t") for line in printed.splitlines()]
     assert [row[1] for row in rows if row[0] == "flat"] == ["3", "4", "mean of 2", "std of 2"]
     assert "ATE rmse [m]" in printed
@@ -58,8 +63,11 @@ def test_a_run_of_two_seeds_prints_one_table(
     monkeypatch.chdir(place)
     words = ["run", "flat.log.gz", "-o", "out", "--seeds", "0,1"]
     words += ["--truth-trajectory", str(place / "truth.tum"), "--producers", "tinyslam,graph"]
+    words += ["--truth", str(MAPS[0])]
     assert run_program([*words, "--save-results", str(place / "all.zip")]) == 0
-    rows = [line.split("\t") for line in capsys.readouterr().out.splitlines()]
+    printed, notices = capsys.readouterr()
+    assert "slamfusion: flat.log.gz seed 0: not aligned: graph: " in notices
+    rows = [line.split("\t") for line in printed.splitlines()]
     assert ["flat", "mean of 2", "fused"] in [row[:3] for row in rows]
     folders = [row[4] for row in rows if row[0].startswith("flat.log.gz seed")]
     assert folders == ["out/flat/seed-0", "out/flat/seed-1"]
