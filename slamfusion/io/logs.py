@@ -67,7 +67,7 @@ def open_log(
             read or is of another log.
         OSError: the file cannot be opened.
     """
-    where = _place(Path(path))
+    where = log_at(Path(path))
     reader = _reader(where)
     log: ScanLog
     if scan_odometry is None:
@@ -85,7 +85,7 @@ def open_log(
 
 def bag_at(path: Path) -> Path | None:
     """Return the bag that ``open_log`` reads at a path; None for another log."""
-    where = _place(path)
+    where = log_at(path)
     return where if _reader(where) is _bag_log else None
 
 
@@ -96,12 +96,12 @@ def is_bag_folder(folder: Path) -> bool:
 
 def log_sources(path: Path) -> list[Path]:
     """Return the files that ``open_log`` reads."""
-    where = _place(path)
+    where = log_at(path)
     files = [item for pattern in _BAG_FILES for item in where.glob(pattern)]
     return files if where.is_dir() else [where]
 
 
-def _place(path: Path) -> Path:
+def log_at(path: Path) -> Path:
     """Return the folder of a bag for its index, and for another folder the one log in it."""
     if path.name == _BAG_FILES[0]:
         return path.parent
@@ -120,10 +120,12 @@ def _logs_in(folder: Path) -> list[Path]:
 
 def check_folder(path: Path, others: str = "") -> None:
     """Refuse a folder that is neither of a bag nor of one log; ``others``: what else it may be."""
-    where = _place(path)
+    where = log_at(path)
     if not where.is_dir() or is_bag_folder(where):
         return
-    found = KINDS.get(where.suffix, "no such file in it; name a log or a bag's folder")
+    names = [item.name for item in sorted(where.iterdir())[:_NAMED]]
+    found = f"{', '.join(names) or 'nothing'} in it; name a log or a bag's folder"
+    found = KINDS.get(where.suffix, found)
     if logs := _logs_in(where):
         found = f"several logs ({', '.join(item.name for item in logs[:_NAMED])}); name one"
     elif where.suffix not in KINDS:

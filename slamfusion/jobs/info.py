@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +19,8 @@ from slamfusion.grid import OCCUPIED, UNKNOWN
 from slamfusion.io.bags import METADATA
 from slamfusion.io.lines import MAP_SUFFIXES, strip_gz
 from slamfusion.io.log import AHEAD_S, BACK, EQUAL, STRAY
-from slamfusion.io.logs import bag_at, is_bag_folder, open_log
-from slamfusion.jobs.inputs import Progress, load_maps, map_file
+from slamfusion.io.logs import bag_at, is_bag_folder, log_at, open_log
+from slamfusion.jobs.inputs import MOST_NAMED, Progress, load_maps, map_file
 from slamfusion.jobs.outputs import RUN_RECORD
 from slamfusion.slam.registry import BUILT_IN, producer
 
@@ -141,10 +141,14 @@ def describe(
     path = path.parent if path.name == RUN_RECORD else path
     if (path / RUN_RECORD).exists() and (run := _run_info(path)) is not None:
         return run
+    log = log_at(path)
     is_map = strip_gz(path.name).endswith(MAP_SUFFIXES) and path.name != METADATA
-    if is_map or (path.is_dir() and not is_bag_folder(path) and any(path.glob("*.yaml"))):
+    if is_map or (log.is_dir() and not is_bag_folder(log) and any(log.glob("*.yaml"))):
         return _map_info(map_file(path), config, resolution)
-    return _log_info(path, config, progress or (lambda *_: None))
+    found = _log_info(log, config, progress or (lambda *_: None))
+    others = [item.name for item in sorted(path.glob("*")) if path != log != item]
+    also = f"also in {path}: {', '.join(others[:MOST_NAMED])}"
+    return replace(found, remarks=[*found.remarks, *[also] * bool(others)])
 
 
 def _log_info(path: Path, config: RunConfig, progress: Progress) -> InfoDocument:

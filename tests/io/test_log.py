@@ -110,7 +110,7 @@ def test_a_log_whose_scans_are_all_damaged_says_why(tmp_path: Path) -> None:
 
 
 def test_what_a_folder_that_is_no_bag_holds_is_named(tmp_path: Path) -> None:
-    assert "found no such file in it; name a log or a bag's folder" in refusal(tmp_path)
+    assert "found nothing in it; name a log or a bag's folder" in refusal(tmp_path)
     store = tmp_path / "out.zarr"
     store.mkdir()
     assert "found a store of fused maps; the Python package zarr reads it" in refusal(store)

@@ -163,6 +163,14 @@ def test_a_folder_with_fused_maps_is_described_by_its_fused_map(tmp_path: Path) 
     )
 
 
+def test_a_folder_with_one_log_is_described_by_it_with_what_else_it_holds(tmp_path: Path) -> None:
+    write_carmen(tmp_path / "drive.log", drive(20)[0])
+    (tmp_path / "truth.yaml").touch()
+    found = describe(tmp_path)
+    assert (found.log, found.file) == (describe(found.file).log, tmp_path / "drive.log")
+    assert found.remarks[-1] == f"also in {tmp_path}: truth.yaml"
+
+
 def test_what_is_none_of_these_is_named(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("nothing", encoding="utf-8")
     with pytest.raises(LogError, match=r"notes\.txt"):
