@@ -201,6 +201,32 @@ class Fusion:
             for name, found in self.bent.items()
         )
 
+    @property
+    def remarks(self) -> list[tuple[str, str]]:
+        """What has no vote, is doubtful or bent, or was cut off: each a subject and its text."""
+        groups = (self, *self.others)
+        return [
+            *((f"{record.name} was rejected:", record.reason) for record in self.rejected),
+            *(
+                (f"{record.name} is a copy:", f"{record.reason}; --keep-duplicates counts each")
+                for record in self.copies
+            ),
+            *(
+                (f"{record.name} may not belong here:", record.reason)
+                for group in groups
+                for record in group.doubtful
+            ),
+            *(("", words) for group in groups for words in group.bent_sentences),
+            *(
+                (
+                    f"the box of {group.reference} leaves out:",
+                    f"{area:.1f} m2 of {name}; --extent union keeps it",
+                )
+                for group in groups
+                for name, area in group.left_out_m2.items()
+            ),
+        ]
+
 
 @dataclass(frozen=True, kw_only=True)
 class FusionResult(Fusion):

@@ -132,7 +132,7 @@ def command(
         if store
         else jobs.fuse.save_fused_maps(fused, stem, report=report_dir, image_format=image_format)
     )
-    output.notice(*jobs.fuse_documents.left_out_sentences(fused.result))
+    output.notice(*map(" ".join, fused.result.remarks))
     for path, own in zip(fused.stores, fused.stems, strict=True):
         if own is None:
             output.notice(f"{path}: too large for a map server; its files are not written")

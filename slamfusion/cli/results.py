@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 import click
 
 from slamfusion import evaluation, jobs
-from slamfusion.cli import options, output
+from slamfusion.cli import options, output, tables
 from slamfusion.errors import counted
 from slamfusion.io.files import AtomicFiles
 from slamfusion.jobs.records import Summaries, number, spread
@@ -97,15 +97,13 @@ def _repetitions(found: Summaries) -> list[Item]:
 def _print_figures(items: Sequence[Item], what: str, title: str) -> None:
     """Print the figures of items; the seed only if there is one."""
     names = dict.fromkeys(name for _, own in items for name in own)
-    figures = {name: evaluation.measured.figure_of(name) for name in names}
-    rows = [
-        [*key, *(number(own.get(name), figure.digits) for name, figure in figures.items())]
-        for key, own in items
+    figures = [
+        [(evaluation.measured.figure_of(name), own.get(name)) for name in names] for _, own in items
     ]
-    columns = ["case ", "seed ", f"{what} ", *(figure.label for figure in figures.values())]
-    if not any(row[1] for row in rows):
-        columns, rows = columns[:1] + columns[2:], [row[:1] + row[2:] for row in rows]
-    output.Table(columns, rows, title=title, names=len(columns) - len(figures)).print()
+    # Without seeds there is no column of them.
+    shown = slice(None, None, 1 if any(key[1] for key, _ in items) else 2)
+    heads = ("case ", "seed ", f"{what} ")[shown]
+    tables.print_figures(heads, [key[shown] for key, _ in items], figures, title)
 
 
 def print_by_case(figures: pd.DataFrame, what: str, leading: Sequence[str]) -> None:

@@ -128,7 +128,7 @@ def _cells(found: Alignment, accepted: str) -> list[str]:
 def print_evaluations(evaluations: Sequence[jobs.fuse_documents.Evaluation]) -> None:
     """Print the errors of each map; ``--verbose`` adds figures that do not reward thick walls."""
     first = evaluations[0]
-    _print_figures(
+    print_figures(
         ("map ", "aligned "),
         [
             (item.name, "as is" if item.alignment is None else "yes" if item.aligned else "NO")
@@ -144,7 +144,7 @@ def print_evaluations(evaluations: Sequence[jobs.fuse_documents.Evaluation]) -> 
                 f"{item.resolution:.4g} m per pixel"
             )
     if is_verbose():
-        _print_figures(
+        print_figures(
             ("map ",),
             [(item.name,) for item in evaluations],
             list(map(evaluation.measured.face_figures, evaluations)),
@@ -152,18 +152,19 @@ def print_evaluations(evaluations: Sequence[jobs.fuse_documents.Evaluation]) -> 
         )
 
 
-def _print_figures(
+def print_figures(
     heads: Sequence[str],
     names: Sequence[Sequence[str]],
     figures: Sequence[Sequence[tuple[evaluation.measured.Figure, float | None]]],
     title: str,
 ) -> None:
+    """Print a row of figures for each map or path, after its names under their heads."""
     columns = (*heads, *(figure.label for figure, _ in figures[0]))
     rows = [
         [*name, *(number(value, figure.digits) for figure, value in own)]
         for name, own in zip(names, figures, strict=True)
     ]
-    Table(columns, rows, title=title).print()
+    Table(columns, rows, title=title, names=len(heads)).print()
 
 
 def print_measures(estimate: Trajectory, measures: evaluation.measured.Measures) -> None:

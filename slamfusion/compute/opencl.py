@@ -9,6 +9,7 @@ import platform
 import re
 import threading
 import warnings
+import weakref
 from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -93,15 +94,6 @@ class OpenCLArray(Generic[Scalar]):
     def __getitem__(self, rows: slice, /) -> OpenCLArray[Scalar]:
         """Return the first rows, ``array[:n]`` with n from 0, in the same memory."""
         return OpenCLArray(self.buffer, (rows.stop, *self.shape[1:]), self.dtype)
-
-
-class _Pages(mmap.mmap):
-    """Memory that the system takes back only after the kernels of a queue have ended."""
-
-    queue: Any
-
-    def __del__(self) -> None:
-        self.queue.finish()
 
 
 class OpenCLDevice(ComputeDevice):
@@ -289,9 +281,11 @@ class OpenCLDevice(ComputeDevice):
         size = math.prod(shape) * np.dtype(dtype).itemsize
         if not (self.shares_memory and size):
             return self.cleared(shape, dtype)
-        pages = _Pages(-1, size, mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
-        pages.queue = self.queue
-        return self.wrap_host(np.frombuffer(pages, dtype).reshape(shape), writable=True)
+        pages = mmap.mmap(-1, size, mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
+        array = np.frombuffer(pages, dtype).reshape(shape)
+        # A kernel may still write to them when the last reference goes.
+        weakref.finalize(array, self.queue.finish)
+        return self.wrap_host(array, writable=True)
 
     def table(self, array: npt.NDArray[Scalar]) -> OpenCLArray[Scalar]:
         """Upload a small constant table once."""

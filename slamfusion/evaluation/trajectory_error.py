@@ -99,10 +99,12 @@ def clock_offset_s(path: Trajectory, reference: Trajectory) -> float:
         raise _unlike(path, reference, f"correlation {correlation:.2f} at the best offset")
     lag_s = STEP_S * (best - (len(own) - 1))
     rough_s = float(reference.stamps_s[0] - path.stamps_s[0]) + lag_s
+    begin_s = max(path.stamps_s[0], reference.stamps_s[0] - rough_s)
+    end_s = min(path.stamps_s[-1], reference.stamps_s[-1] - rough_s) - WINDOW_S
+    times_s = np.arange(begin_s, max(end_s, begin_s + STEP_S), STEP_S)
+    wanted, there_s = _motion(path, times_s, WINDOW_S), times_s + rough_s
     found = scipy.optimize.minimize_scalar(
-        lambda change_s: float(
-            np.mean(np.subtract(*_windows(path, reference, rough_s + change_s)) ** 2)
-        ),
+        lambda more_s: np.mean((_motion(reference, there_s + more_s, WINDOW_S) - wanted) ** 2),
         bounds=(-2.0 * STEP_S, 2.0 * STEP_S),
         method="bounded",
         options={"xatol": 1e-4},
@@ -130,14 +132,6 @@ def _rates(path: Trajectory) -> F64:
     rates = _motion(path, times_s, STEP_S)
     rates -= rates.mean(axis=0) if len(rates) else 0.0
     return np.asarray(rates / max(np.sqrt((rates**2).sum() / max(len(rates), 1)), 1e-9))
-
-
-def _windows(path: Trajectory, reference: Trajectory, offset_s: float) -> tuple[F64, F64]:
-    """Return the motions of both in the windows that they share at an offset."""
-    begin_s = max(path.stamps_s[0], reference.stamps_s[0] - offset_s)
-    end_s = min(path.stamps_s[-1], reference.stamps_s[-1] - offset_s) - WINDOW_S
-    times_s = np.arange(begin_s, max(end_s, begin_s + STEP_S), STEP_S)
-    return _motion(path, times_s, WINDOW_S), _motion(reference, times_s + offset_s, WINDOW_S)
 
 
 def _warn_of_better_fit(path: Trajectory, truth: Trajectory, own: I64, true: I64) -> None:

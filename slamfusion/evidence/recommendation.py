@@ -188,11 +188,12 @@ class Recommendation:
         return f"Use {what}; the scans could not confirm it"
 
     def lines(self) -> list[tuple[str, str]]:
-        """Return what stands below the headline, each a subject and its text."""
+        """Return what stands below the headline, each a subject and its text; places as on maps."""
         why = ", the nearest to the fused path" if self.is_of_fused else ""
         alone = [("Single SLAM:", self.best_single + why)] if self.best_single else []
         laser = [("Laser:", self.laser_fault)] if self.laser_fault else []
-        return laser + alone + [("Check:", str(place)) for place in self.check]
+        places = enumerate(self.check, start=1)
+        return laser + alone + [(f"Place {number}:", str(place)) for number, place in places]
 
     def path_faults(self) -> list[tuple[str, str]]:
         """Return faults of the recommended path, else of the others, each after the path's name.

@@ -179,19 +179,19 @@ def _case_of(cases: Sequence[str], file: CaseFile) -> str:
             raise ConfigError(
                 f"{file.path}: its name fits {' and '.join(named)}; write CASE={file.path}"
             )
-    named = [case for case in cases if "/" in case and _has_all_words(file.path, case)]
+    # A case that is named with its folders: every part of it is a word of the path.
+    parts = _parts(file.path)
+    named = [
+        case
+        for case in cases
+        if "/" in case and all(any(map(_word(piece).search, parts)) for piece in case.split("/"))
+    ]
     if len(named) == 1:
         return named[0]
     raise ConfigError(
         f"{file.path}: its name says none of the cases {known}; write CASE={file.path}, with one "
         "of them for CASE"
     )
-
-
-def _has_all_words(path: Path, case: str) -> bool:
-    """Whether a path says every part of a case that is named with its folders."""
-    parts = _parts(path)
-    return all(any(_word(piece).search(part) for part in parts) for piece in case.split("/"))
 
 
 def _rest(case: str, path: Path) -> tuple[list[str], str]:

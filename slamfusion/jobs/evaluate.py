@@ -25,7 +25,7 @@ from slamfusion.io import AtomicFiles
 from slamfusion.jobs import inputs
 from slamfusion.jobs.align import AlignedPlan, align_plan
 from slamfusion.jobs.cases import CaseFile, Placed, case_names, place_files
-from slamfusion.jobs.fuse_documents import Evaluation
+from slamfusion.jobs.fuse_documents import Evaluation, unaligned_sentences
 from slamfusion.jobs.records import Settings, Summaries
 from slamfusion.json_values import FLAT
 
@@ -270,11 +270,7 @@ def write_evaluation(
     if searched:
         table = page.tables().alignments("Alignment to the truth", searched)
         sections.append(page.Section("Alignment", "", maps.yaw_pictures(searched), table))
-    lost = [
-        (f"{alignment.moving} could not be aligned:", alignment.reason)
-        for alignment in searched
-        if not alignment.accepted
-    ]
+    lost = [("", sentence) for sentence in unaligned_sentences(evaluations)]
     best, truth = min(evaluations, key=lambda item: item.error), evaluations[0].truth
     is_one = len(evaluations) == 1
     headline = f"{best.name} against {truth}" if is_one else f"{best.name} is nearest to {truth}"

@@ -251,29 +251,6 @@ def unaligned_sentences(evaluations: Sequence[Evaluation]) -> list[str]:
     return [f"not aligned: {item.name}: {item.why_not}" for item in evaluations if item.why_not]
 
 
-def left_out_sentences(result: Fusion) -> list[str]:
-    """Name the inputs without a vote, doubtful or bent, and what the fused map was cut off from."""
-    rejected = [f"rejected: {record.name}: {record.reason}" for record in result.rejected]
-    copies = [
-        f"{record.name}: {record.reason}; --keep-duplicates counts each" for record in result.copies
-    ]
-    cuts = [
-        f"left out, outside the box of {group.reference}: {area:.1f} m2 of {name}; "
-        "--extent union keeps it"
-        for group in (result, *result.others)
-        for name, area in group.left_out_m2.items()
-    ]
-    doubts = [
-        words
-        for group in (result, *result.others)
-        for words in (
-            *(f"doubtful: {record.name}: {record.reason}" for record in group.doubtful),
-            *group.bent_sentences,
-        )
-    ]
-    return rejected + copies + doubts + cuts
-
-
 def _reason(name: str, pairs: Sequence[Alignment], otherwise: str) -> str:
     """Return why an input found no partner: the reason of its best rejected pair."""
     rejected = [

@@ -230,7 +230,7 @@ def write_judgement(found: JudgedPaths, directory: str | Path) -> Path:
         text = "The order by the scans next to the errors against the truth or known relations."
         table = page.tables().ranks(heads, rows)
         sections.append(page.Section("Compared with what is known", text, tables=table))
-    lines = paths.place_lines(answer)
+    lines = answer.lines()
     lines += [(f"{name}:", fault) for name, fault in answer.path_faults()]
     lines += [("Not measured:", sentence) for sentence in found.not_measured]
     lines.append(("Log:", str(found.files.log)))

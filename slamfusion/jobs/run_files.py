@@ -21,12 +21,7 @@ from slamfusion.io import AtomicFiles, read_trajectory, save_map, write_tum
 from slamfusion.io.log import LogRecord
 from slamfusion.jobs import outputs
 from slamfusion.jobs.cases import CaseFile, files_by_case
-from slamfusion.jobs.fuse_documents import (
-    DoubledWalls,
-    Evaluation,
-    FusionRecord,
-    left_out_sentences,
-)
+from slamfusion.jobs.fuse_documents import DoubledWalls, Evaluation, FusionRecord
 from slamfusion.jobs.fused_path import FusedPath
 from slamfusion.jobs.inputs import LogFiles, Warn, distinct_names, load_maps
 from slamfusion.jobs.map_log import ProducerResult, write_producer
@@ -309,7 +304,7 @@ class LogRun:
         """Return what was left out and what is doubtful; ``not_measured`` and ``error`` apart."""
         found = [f"no map: {item.name}: {item.failed}" for item in self.failed]
         if self.fusion.result is not None:
-            found += left_out_sentences(self.fusion.result)
+            found += [" ".join(words).strip() for words in self.fusion.result.remarks]
         by_sentence: dict[str, list[str]] = {}
         for name, sentence in self.path_faults():
             by_sentence.setdefault(sentence, []).append(name)

@@ -65,10 +65,10 @@ def _classified(run: LogRun) -> list[ClassifiedGrid]:
 def _banner(run: LogRun) -> page.Banner:
     """Say first what to use, then what to check, then what was fused and what was not."""
     answer, result = run.recommendation, run.fusion.result
-    lines = [] if answer is None else paths.place_lines(answer)
+    lines = [] if answer is None else answer.lines()
     lines += [(f"{item.name} made no map:", item.failed) for item in run.failed]
     if result is not None:
-        lines += fusion_report.doubtful_lines(result)
+        lines += result.remarks
     lines += [(f"{name}:", text) for name, text in run.path_faults()]
     lines += [(f"{where.capitalize()}:", text) for where, text in run.log_faults()]
     if run.why_voted is not None:

@@ -24,8 +24,8 @@ FUSED_MAP = "fused map"
 def fusion_banner(result: FusionResult, failure: str | None) -> page.Banner:
     """Say first which maps vote, and loudest which do not."""
     accepted = ", ".join(record.name for record in result.accepted)
-    lines = doubtful_lines(result)
-    lines.append(("Fused:", f"{accepted or 'none'}; in the frame of {result.reference}."))
+    fused = ("Fused:", f"{accepted or 'none'}; in the frame of {result.reference}.")
+    lines = [*result.remarks, fused]
     if failure is not None:
         return page.Banner("bad", "Do not use this map", [("", failure), *lines])
     tone = "warn" if result.rejected or result.doubtful else "good"
@@ -37,21 +37,6 @@ def how_many_fused(result: FusionResult, failed: int = 0) -> str:
     total, fused = len(result.inputs) - len(result.copies) + failed, len(result.accepted)
     every = "Both" if total == 2 else f"All {total}"
     return f"{every if fused == total else f'Only {fused} of {total}'} maps were fused"
-
-
-def doubtful_lines(result: FusionResult) -> list[tuple[str, str]]:
-    """Return which inputs are left out, weak matches or bent, and what the fused map leaves out."""
-    return [
-        *((f"{record.name} was rejected:", record.reason) for record in result.rejected),
-        *((f"{record.name} is a copy:", record.reason) for record in result.copies),
-        *((f"{record.name} may not belong here:", record.reason) for record in result.doubtful),
-        *(("", words) for group in (result, *result.others) for words in group.bent_sentences),
-        *(
-            (f"Left out, outside the box of {group.reference}:", f"{area:.1f} m² of {name}.")
-            for group in (result, *result.others)
-            for name, area in group.left_out_m2.items()
-        ),
-    ]
 
 
 def fusion_facts(result: FusionResult, failed: int = 0) -> list[page.Fact]:

@@ -309,15 +309,6 @@ def evidence_section(
     return Section("Why this path", answer.headline + ".", [picture], tables().scores(answer.paths))
 
 
-def place_lines(answer: Recommendation) -> list[tuple[str, str]]:
-    """Return what stands below the headline: the places to check by number, as on the maps."""
-    lines = [line for line in answer.lines() if line[0] != "Check:"]
-    return lines + [
-        (f"Place {number}:", f"near ({place.x:.1f}, {place.y:.1f}) m: {place.what}")
-        for number, place in enumerate(answer.check, start=1)
-    ]
-
-
 def strip_picture(answer: Recommendation, colours: Mapping[str, Rgb]) -> Picture:
     """Draw who was off when: a bar for each path, and the places to check across them."""
     names = [path.name for path in answer.paths]

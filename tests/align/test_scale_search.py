@@ -20,7 +20,6 @@ from slamfusion.io.map_server import load_map
 from slamfusion.jobs.align import align_maps, align_plan
 from slamfusion.jobs.evaluate import evaluate_maps
 from slamfusion.jobs.fuse import fuse_maps
-from slamfusion.jobs.fuse_documents import left_out_sentences
 from tests.fusion.drawings import building
 from tests.support.cuts import along, kept, move_frame
 from tests.support.datasets import ABSENT
@@ -122,7 +121,8 @@ def test_a_wrong_resolution_is_named_with_the_right_one(device: ComputeDevice, s
     if said < 0.05:
         return
     fused = fuse_maps([a, b, wrong], device=device)
-    (left_out,) = left_out_sentences(fused.result)
-    assert left_out.startswith("rejected: c: its resolution should be 0.05")
+    ((left_out, why),) = fused.result.remarks
+    assert left_out == "c was rejected:"
+    assert why.startswith("its resolution should be 0.05")
     with pytest.raises(AlignmentError, match=r"c: its resolution should be 0\.05"):
         fuse_maps([a, wrong], device=device)

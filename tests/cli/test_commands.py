@@ -82,8 +82,8 @@ def test_like_paper_names_what_the_box_of_the_smallest_map_leaves_out(tmp_path: 
     assert document["left_out_m2"] == pytest.approx({"truth": outside}, rel=0.01)
     assert document["groups"][0]["left_out_m2"] == document["left_out_m2"]
     area = f"{document['left_out_m2']['truth']:.1f}"
-    assert f"left out, outside the box of half: {area} m2 of truth; --extent union" in done.stderr
-    assert f"{area} m² of truth" in (report / "report.html").read_text(encoding="utf-8")
+    assert f"the box of half leaves out: {area} m2 of truth; --extent union keeps it" in done.stderr
+    assert f"{area} m2 of truth" in (report / "report.html").read_text(encoding="utf-8")
     document = json_of(run_here(*asked, "--extent", "union", "--json"))
     assert document["left_out_m2"] == {}
 

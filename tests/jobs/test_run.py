@@ -121,8 +121,8 @@ def assert_all_that_is_doubtful_is_told(run: LogRun) -> None:
     assert [text for text in found.warnings if text != stopped] == [
         "flat.yaml: it is odd",
         "no map: gmapping: it was killed",
-        f"rejected: {first.name}: it fits nothing",
-        f"{second.name}: a copy; --keep-duplicates counts each",
+        f"{first.name} was rejected: it fits nothing",
+        f"{second.name} is a copy: a copy; --keep-duplicates counts each",
         "the scans could not be asked about the paths: no scan saw a wall twice",
         "the fused map is not drawn, the maps vote (consensus): there is no path",
     ]

@@ -146,13 +146,11 @@ def contradictions(
             return
     length = fit.length or 1.0
     if is_other_unit(length):
-        scaled = replace(odometry, poses=odometry.poses * (length, length, 1.0))
-        if not _drives_unlike(fit_odometry(scaled, path, newest=newest)):
-            yield (
-                f"the path moves {length:.4g} times as far as the odometry: is one of them in "
-                "another unit than metres?"
-            )
-            return
+        yield (
+            f"the path moves {length:.4g} times as far as the odometry: is one of them in another "
+            "unit than metres, or of another drive?"
+        )
+        return
     if fit.turn is not None and fit.turns_together < TOGETHER:
         yield _UNLIKE.format("turns", fit.turns_together, "turns")
         return
