@@ -166,18 +166,13 @@ class Fusion:
     @property
     def doubtful(self) -> tuple[InputRecord, ...]:
         """The inputs that voted though much contradicts them."""
-        return tuple(
-            record
-            for record in self.accepted
-            if record.alignment is not None and record.alignment.strength == "weak"
-        )
+        found = [(record, record.alignment) for record in self.accepted]
+        return tuple(record for record, own in found if own is not None and own.strength == "weak")
 
     @property
     def rejected(self) -> tuple[InputRecord, ...]:
         """The inputs that do not fit; copies of others are none of them."""
-        return tuple(
-            record for record in self.inputs if not record.accepted and record.copy_of is None
-        )
+        return tuple(own for own in self.inputs if not own.accepted and own.copy_of is None)
 
     @property
     def copies(self) -> tuple[InputRecord, ...]:
@@ -189,15 +184,12 @@ class Fusion:
         """One sentence for each bent map; one for both where there are two."""
         if len(self.bent) == len(self.accepted) == 2:
             (first, found), (second, _) = self.bent.items()
-            return (
-                (
-                    f"{first} and {second} agree on only {100.0 * found.share:.0f} % of their "
-                    f"walls, worst at {found.place}: one of them is bent"
-                ),
-            )
+            share = f"{100.0 * found.share:.0f} % of their walls"
+            worst = f"worst at {found.place}: one of them is bent"
+            return (f"{first} and {second} agree on only {share}, {worst}",)
+        limit = "; it votes only where it agrees"
         return tuple(
-            f"{name}: {found.words}"
-            + ("; it votes only where it agrees" if name in self.weights else "")
+            f"{name}: {found.words}{limit * (name in self.weights)}"
             for name, found in self.bent.items()
         )
 
@@ -205,16 +197,16 @@ class Fusion:
     def remarks(self) -> list[tuple[str, str]]:
         """What has no vote, is doubtful or bent, or was cut off: each a subject and its text."""
         groups = (self, *self.others)
+        said = (
+            ("was rejected:", "", self.rejected),
+            ("is a copy:", "; --keep-duplicates counts each", self.copies),
+            ("may not belong here:", "", [own for group in groups for own in group.doubtful]),
+        )
         return [
-            *((f"{record.name} was rejected:", record.reason) for record in self.rejected),
             *(
-                (f"{record.name} is a copy:", f"{record.reason}; --keep-duplicates counts each")
-                for record in self.copies
-            ),
-            *(
-                (f"{record.name} may not belong here:", record.reason)
-                for group in groups
-                for record in group.doubtful
+                (f"{own.name} {what}", own.reason + advice)
+                for what, advice, records in said
+                for own in records
             ),
             *(("", words) for group in groups for words in group.bent_sentences),
             *(

@@ -215,10 +215,8 @@ def compare_to_truth(
 def known_truth(truth: OccupancyGrid) -> CellBox:
     """Return the box of the truth's known cells; GridError if it has none."""
     if (box := truth.known_box) is None:
-        message = (
-            "no cell is surely free or occupied; give a map with known cells or other thresholds"
-        )
-        raise GridError(f"{truth.name}: {message}")
+        advice = "give a map with known cells or other thresholds"
+        raise GridError(f"{truth.name}: no cell is surely free or occupied; {advice}")
     return box
 
 

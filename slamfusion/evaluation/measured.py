@@ -192,24 +192,20 @@ class PathErrors:
 
     def figures(self) -> dict[str, float]:
         """Return the figures of the path by name."""
-        statistics: dict[str, ErrorStatistics | None] = {}
-        if self.truth is not None:
-            statistics |= {
-                "ate_mean_m": self.truth.ate,
-                "ate_rotation_mean_deg": self.truth.ate_rotation_deg,
-                "rpe_mean_m": self.truth.rpe,
-                "rpe_rotation_mean_deg": self.truth.rpe_rotation_deg,
-            }
-        if self.relations is not None:
-            statistics |= {
-                "relations_mean_m": self.relations.translation,
-                "relations_rotation_mean_deg": self.relations.rotation_deg,
-            }
-        found = {} if self.truth is None else {"ate_rmse_m": self.truth.ate.rmse}
-        found |= {name: own.mean for name, own in statistics.items() if own is not None}
-        if self.truth is not None:
-            found["truth_covered_share"] = self.truth.covered_share
-        if (known := self.relations) is not None:
+        truth, known = self.truth, self.relations
+        means: dict[str, ErrorStatistics | None] = {}
+        found: dict[str, float] = {}
+        if truth is not None:
+            found["ate_rmse_m"] = truth.ate.rmse
+            means = {"ate_mean_m": truth.ate, "ate_rotation_mean_deg": truth.ate_rotation_deg}
+            means |= {"rpe_mean_m": truth.rpe, "rpe_rotation_mean_deg": truth.rpe_rotation_deg}
+        if known is not None:
+            means["relations_mean_m"] = known.translation
+            means["relations_rotation_mean_deg"] = known.rotation_deg
+        found |= {name: own.mean for name, own in means.items() if own is not None}
+        if truth is not None:
+            found["truth_covered_share"] = truth.covered_share
+        if known is not None:
             found["relations_used_share"] = known.relations_used / known.relations_total
         return found
 
@@ -305,9 +301,8 @@ class MeasuredPath:
     """Its length, metres."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "name", self.trajectory.name)
-        object.__setattr__(self, "poses", len(self.trajectory))
-        object.__setattr__(self, "path_length_m", self.trajectory.path_length_m())
+        path = self.trajectory
+        vars(self).update(name=path.name, poses=len(path), path_length_m=path.path_length_m())
 
 
 def rankings(paths: Sequence[MeasuredPath]) -> dict[str, dict[str, tuple[float, int]]]:

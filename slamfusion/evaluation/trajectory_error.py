@@ -9,7 +9,6 @@ from __future__ import annotations
 import logging
 import math
 from dataclasses import dataclass, field
-from operator import itemgetter
 
 import numpy as np
 import scipy
@@ -18,7 +17,6 @@ from slamfusion.config import TrajectoryConfig
 from slamfusion.errors import TrajectoryError, counted
 from slamfusion.evaluation.statistics import ErrorStatistics
 from slamfusion.geometry import (
-    B8,
     F64,
     I64,
     Pose2,
@@ -141,36 +139,33 @@ def _warn_of_better_fit(path: Trajectory, truth: Trajectory, own: I64, true: I64
     """
     stamps_s, poses, wanted = path.stamps_s[own], path.poses[own], truth.poses[true]
     spread_m, wanted_m = (math.sqrt(item[:, :2].var(axis=0).sum()) for item in (poses, wanted))
-    found = []
 
-    def compare(how: str, what: str, changed: F64, kept: B8 | slice = np.s_[:]) -> None:
-        errors = [
-            np.sqrt(
-                np.mean(_apart(fit_motion(item, wanted[kept]), item, wanted[kept]) ** 2, axis=1)
-            )
-            for item in (poses[kept], changed[kept])
-        ]
-        # Log-likelihood of a pose, with errors of place and heading of unknown sizes.
-        before, after = np.log(np.maximum(errors, _ROUNDING)).sum(axis=1)
-        found.append((before - after, how, what, errors))
+    def errors_of(changed: F64) -> F64:
+        """Return the root mean square errors of place and heading after alignment, m and rad."""
+        apart = _apart(fit_motion(changed, wanted), changed, wanted)
+        return np.asarray(np.maximum(np.sqrt(np.mean(apart**2, axis=1)), _ROUNDING))
 
-    for negated, signs in _IMAGES.items():
-        compare(f"with {negated} negated", "mirrored", poses * signs)
+    changes = [
+        (f"with {negated} negated", "mirrored", poses * signs) for negated, signs in _IMAGES.items()
+    ]
     scale = max(wanted_m, _ROUNDING) / max(spread_m, _ROUNDING)
     if is_other_unit(scale):
-        unit = "in another unit than metres"
-        compare(f"multiplied by {scale:.4g}", unit, poses * (scale, scale, 1.0))
-    for later_s in (*_SHIFTS_S, *-_SHIFTS_S):
-        at_s = stamps_s + later_s
-        kept = (at_s >= path.stamps_s[0]) & (at_s <= path.stamps_s[-1])
-        if 2 * np.count_nonzero(kept) > len(own):
-            later, clock = f"about {later_s:.1f} s later", "on another clock (--time-offset auto)"
-            compare(later, clock, interpolate_poses(at_s, path.stamps_s, path.poses), kept)
-    gain, how, what, errors = max(found, key=itemgetter(0))
+        scaled = poses * (scale, scale, 1.0)
+        changes.append((f"multiplied by {scale:.4g}", "in another unit than metres", scaled))
+    # Shifts of half the path or more would fit its ends, which are clamped.
+    shifts_s = _SHIFTS_S[np.ptp(stamps_s) > 2.0 * _SHIFTS_S]
+    for later_s in (*shifts_s, *-shifts_s):
+        moved = interpolate_poses(stamps_s + later_s, path.stamps_s, path.poses)
+        clock = "on another clock (--time-offset auto)"
+        changes.append((f"about {later_s:.1f} s later", clock, moved))
+    # The likeliest, with errors of place and heading of unknown sizes.
+    how, what, changed = min(changes, key=lambda change: float(errors_of(change[2]).prod()))
+    errors = errors_of(poses), errors_of(changed)
     seconds = np.ptp(stamps_s) / WINDOW_S
     # The 95 % interval of the difference of two correlations (Fisher, 1915).
     least = 1.96 * math.sqrt(2.0 / (seconds - 3.0)) if seconds > 3.0 else math.inf
-    if gain > max(least, math.log(2.0)):
+    is_fit = 2.0 * errors[1][0] < wanted_m
+    if is_fit and math.log(errors[0].prod() / errors[1].prod()) > max(least, math.log(2.0)):
         before, after = (f"{m:.4g} m and {math.degrees(rad):.3g} deg" for m, rad in errors)
         message = "%s is off %s by %s, but only by %s %s: is one of them %s?"
         _LOG.warning(message, path.name, truth.name, before, after, how, what)

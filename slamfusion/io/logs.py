@@ -123,13 +123,13 @@ def check_folder(path: Path, others: str = "") -> None:
     where = log_at(path)
     if not where.is_dir() or is_bag_folder(where):
         return
-    names = [item.name for item in sorted(where.iterdir())[:_NAMED]]
-    found = f"{', '.join(names) or 'nothing'} in it; name a log or a bag's folder"
-    found = KINDS.get(where.suffix, found)
+    kinds = {item.name: KINDS.get(_suffix(item)) for item in sorted(where.iterdir())}
+    found = f"{', '.join([*kinds][:_NAMED]) or 'nothing'} in it; name a log or a bag's folder"
     if logs := _logs_in(where):
         found = f"several logs ({', '.join(item.name for item in logs[:_NAMED])}); name one"
-    elif where.suffix not in KINDS:
-        kinds = {item.name: KINDS.get(_suffix(item)) for item in sorted(where.iterdir())}
+    elif where.suffix in KINDS:
+        found = KINDS[where.suffix]
+    else:
         found = next((f"one with {name}, {kind}" for name, kind in kinds.items() if kind), found)
     raise LogError(
         f"{where}: wanted {others}the folder of a ROS 2 bag (metadata.yaml, .db3 or .mcap) or of "

@@ -106,7 +106,9 @@ def read_trajectory(
         raise TrajectoryError(message)
     table = np.array(rows)
     if columns is None or columns[0][1] is None:
-        table[:, 0] *= _second(table[:, 0])
+        latest = np.abs(table[:, 0]).max()
+        digits = (digits for digits in (0, 3, 6) if latest < _SECONDS_BELOW * 10.0**digits)
+        table[:, 0] *= 10.0 ** -next(digits, 9)
     if table.shape[1] == _TUM:
         table = _in_plane(where, table, config)
     _check_yaw(where, table[:, 1:], warn)
@@ -209,12 +211,6 @@ def _rows(where: Path, first: list[bytes], columns: Columns | None) -> Iterator[
             )
         last = values[0]
         yield [value * (unit or 1.0) for value, (_, unit) in zip(values, columns, strict=True)]
-
-
-def _second(times: F64) -> float:
-    """Return the seconds of the unknown unit of times; see ``read_trajectory``."""
-    latest = np.abs(times).max()
-    return 10.0 ** -next((d for d in (0, 3, 6) if latest < _SECONDS_BELOW * 10.0**d), 9)
 
 
 def _is_number(text: bytes) -> bool:

@@ -292,31 +292,34 @@ class LogRun:
     def _logs(self) -> list[LogRecord]:
         return [item.run.log for item in self.results.values() if item.run.log is not None]
 
-    def path_faults(self) -> list[tuple[str, str]]:
-        """Return what is doubtful about the path of a producer or saved map, after its name."""
-        found = [(name, text) for name, item in self.results.items() for text in item.run.warnings]
+    def remarks(self) -> list[tuple[str, str]]:
+        """Return what was left out and what is doubtful, each a subject and its text.
+
+        ``log_faults``, ``not_measured`` and ``error`` are apart.
+        """
+        found = [(f"{item.name} made no map:", item.failed) for item in self.failed]
+        if self.fusion.result is not None:
+            found += self.fusion.result.remarks
+        faults = [(name, text) for name, item in self.results.items() for text in item.run.warnings]
         if self.recommendation is not None:
-            faults = self.recommendation.path_faults()
-            found += [fault for fault in faults if fault[0] not in {*self.results, outputs.FUSED}]
+            known = {*self.results, outputs.FUSED}
+            faults += [own for own in self.recommendation.path_faults() if own[0] not in known]
+        by_sentence: dict[str, list[str]] = {}
+        for name, sentence in faults:
+            by_sentence.setdefault(sentence, []).append(name)
+        found += [(f"{', '.join(names)}:", text) for text, names in by_sentence.items()]
+        if self.no_verdict is not None:
+            found.append(("the scans could not be asked about the paths:", self.no_verdict))
+        if self.why_voted is not None:
+            voted = f"the fused map is not drawn, the maps vote ({self.fused_mode}):"
+            found.append((voted, self.why_voted))
+        if self.fused_path is not None and self.fused_path.refinement is None:
+            found.append(("all paths count alike in the fused path:", str(self.no_verdict)))
         return found
 
     def sentences(self) -> tuple[str, ...]:
-        """Return what was left out and what is doubtful; ``not_measured`` and ``error`` apart."""
-        found = [f"no map: {item.name}: {item.failed}" for item in self.failed]
-        if self.fusion.result is not None:
-            found += [" ".join(words).strip() for words in self.fusion.result.remarks]
-        by_sentence: dict[str, list[str]] = {}
-        for name, sentence in self.path_faults():
-            by_sentence.setdefault(sentence, []).append(name)
-        found += [f"{', '.join(names)}: {text}" for text, names in by_sentence.items()]
-        if self.no_verdict is not None:
-            found.append(f"the scans could not be asked about the paths: {self.no_verdict}")
-        if self.why_voted is not None:
-            why = f"the maps vote ({self.fused_mode}): {self.why_voted}"
-            found.append(f"the fused map is not drawn, {why}")
-        if self.fused_path is not None and self.fused_path.refinement is None:
-            found.append(f"all paths count alike in the fused path: {self.no_verdict}")
-        return tuple(found)
+        """Return the remarks as sentences."""
+        return tuple(" ".join(words).strip() for words in self.remarks())
 
 
 def load_report() -> None:

@@ -66,13 +66,8 @@ def _banner(run: LogRun) -> page.Banner:
     """Say first what to use, then what to check, then what was fused and what was not."""
     answer, result = run.recommendation, run.fusion.result
     lines = [] if answer is None else answer.lines()
-    lines += [(f"{item.name} made no map:", item.failed) for item in run.failed]
-    if result is not None:
-        lines += result.remarks
-    lines += [(f"{name}:", text) for name, text in run.path_faults()]
+    lines += run.remarks()
     lines += [(f"{where.capitalize()}:", text) for where, text in run.log_faults()]
-    if run.why_voted is not None:
-        lines.append(("Not drawn:", f"the maps vote ({run.fused_mode}): {run.why_voted}"))
     lines += [("Not measured:", trouble) for trouble in run.not_measured]
     if result is None or run.error is not None:
         headline = "Do not use this map" if result is not None else "Nothing was fused"

@@ -90,7 +90,9 @@ def test_two_runs_at_once_leave_the_files_of_one(
 ) -> None:
     out, said = at_once
     assert outputs(out) == MADE
-    assert "Not drawn:" in (out / "report" / "report.html").read_text(encoding="utf-8")
+    assert "the fused map is not drawn" in (out / "report" / "report.html").read_text(
+        encoding="utf-8"
+    )
     assert {path.name for path in out.iterdir() if path.is_dir()} == {"report"}
     assert not list(out.rglob(".slamfusion-*"))
     record = json.loads((out / "graph.json").read_text(encoding="utf-8"))

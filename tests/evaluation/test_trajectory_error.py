@@ -171,7 +171,7 @@ def test_a_path_that_is_too_short_for_it_is_not_called_mirrored(
         (drive(), (1, 1, -1), "with yaw negated: is one of them mirrored?"),
         (drive(), (100, 100, 1), "multiplied by 0.01: is one of them in another unit than metres?"),
         (drive().later(1.5), (1, 1, 1), "about 1.6 s later: is one of them on another clock"),
-        (drive(seed=2), (1, 1, 1), "by 3.178 m, which itself spreads by 2.517 m: are they of one"),
+        (drive(seed=2), (1, 1, 1), "by 3.288 m, which itself spreads by 2.517 m: are they of one"),
         (drive(noise=0.05), (1, 1, 1), ""),
     ],
 )

@@ -120,7 +120,7 @@ def assert_all_that_is_doubtful_is_told(run: LogRun) -> None:
     assert stopped.startswith("tinyslam, graph: ")
     assert [text for text in found.warnings if text != stopped] == [
         "flat.yaml: it is odd",
-        "no map: gmapping: it was killed",
+        "gmapping made no map: it was killed",
         f"{first.name} was rejected: it fits nothing",
         f"{second.name} is a copy: a copy; --keep-duplicates counts each",
         "the scans could not be asked about the paths: no scan saw a wall twice",
