@@ -361,12 +361,10 @@ def _run_several(
             results.print_items(rows, "path", ("ate_rmse_m", "relations_mean_m", "error"))
     reasons = []
     if failed := [f"{run.name}: {run.error}" for run in runs if run.error is not None]:
-        words = "; ".join(failed)
-        reasons.append(f"no fused map of {len(failed)} of {len(runs)} logs ({words})")
+        reasons.append(f"no fused map of {len(failed)} of {len(runs)} logs ({'; '.join(failed)})")
     if partly := [run for run in runs if run.error is None and run.not_measured]:
         words = "; ".join(f"{run.name}: {', '.join(run.not_measured)}" for run in partly)
-        count = f"of {len(partly)} of {len(runs)} logs"
-        reasons.append(f"{count} not all could be measured ({words})")
+        reasons.append(f"of {len(partly)} of {len(runs)} logs not all could be measured ({words})")
     if reasons:
         raise SlamFusionError("; ".join(reasons))
 

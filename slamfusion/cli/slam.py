@@ -25,9 +25,7 @@ from slamfusion.json_values import record_keys
 
 def _stems(stem: Path, seeds: Sequence[int]) -> dict[int | None, Path]:
     """Return the stem of the files of each seed; without seeds that of the only run."""
-    if not seeds:
-        return {None: stem}
-    return {seed: stem.with_name(f"{stem.name}_seed-{seed}") for seed in seeds}
+    return {seed: stem.with_name(f"{stem.name}_seed-{seed}") for seed in seeds} or {None: stem}
 
 
 def _files(out: Path, given: Mapping[str, Any]) -> list[Path]:

@@ -54,8 +54,7 @@ class Relations:
             raise TrajectoryError(f"{self.name}: times and motions must be finite")
         stamps.flags.writeable = False
         motions.flags.writeable = False
-        object.__setattr__(self, "stamps_s", stamps)
-        object.__setattr__(self, "motions", motions)
+        vars(self).update(stamps_s=stamps, motions=motions)
 
     def __len__(self) -> int:
         return len(self.stamps_s)

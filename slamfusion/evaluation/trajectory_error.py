@@ -44,6 +44,7 @@ _UNLIKE, STANDS_M = math.sqrt(1.0 - LEAST_CORRELATION**2), 0.1
 # Signs of x, y and yaw of the images of a path.
 _IMAGES = {"y and yaw": (1.0, -1.0, -1.0), "y": (1.0, -1.0, 1.0), "yaw": (1.0, 1.0, -1.0)}
 # Differences of clocks, seconds: the nearest leaves a third of another one, or less.
+_CLOCK = "on another clock (--time-offset auto)"
 _SHIFTS_S = 0.1 * 2.0 ** np.arange(12)
 # Stamps of the same scans differ by one offset and by rounding.
 SAME_SCANS_S = 1e-3
@@ -141,7 +142,6 @@ def _warn_of_better_fit(path: Trajectory, truth: Trajectory, own: I64, true: I64
     spread_m, wanted_m = (math.sqrt(item[:, :2].var(axis=0).sum()) for item in (poses, wanted))
 
     def errors_of(changed: F64) -> F64:
-        """Return the root mean square errors of place and heading after alignment, m and rad."""
         apart = _apart(fit_motion(changed, wanted), changed, wanted)
         return np.asarray(np.maximum(np.sqrt(np.mean(apart**2, axis=1)), _ROUNDING))
 
@@ -156,8 +156,7 @@ def _warn_of_better_fit(path: Trajectory, truth: Trajectory, own: I64, true: I64
     shifts_s = _SHIFTS_S[np.ptp(stamps_s) > 2.0 * _SHIFTS_S]
     for later_s in (*shifts_s, *-shifts_s):
         moved = interpolate_poses(stamps_s + later_s, path.stamps_s, path.poses)
-        clock = "on another clock (--time-offset auto)"
-        changes.append((f"about {later_s:.1f} s later", clock, moved))
+        changes.append((f"about {later_s:.1f} s later", _CLOCK, moved))
     # The likeliest, with errors of place and heading of unknown sizes.
     how, what, changed = min(changes, key=lambda change: float(errors_of(change[2]).prod()))
     errors = errors_of(poses), errors_of(changed)
@@ -267,7 +266,16 @@ def trajectory_errors(
     truth = on_clock(truth, estimate, config.time_offset)
     own, true = associate(estimate, truth, config.tolerance_s)
     if len(own) < 2:
-        raise TrajectoryError(_no_match(estimate, truth, len(own), config.tolerance_s))
+        ranges = [
+            f"{item.name} has {counted(len(item), 'pose')} from {item.stamps_s[0]:.3f} to "
+            f"{item.stamps_s[-1]:.3f} s"
+            for item in (estimate, truth)
+        ]
+        raise TrajectoryError(
+            f"wanted at least two poses within {config.tolerance_s:g} s of a true one, found "
+            f"{len(own)}; {'; '.join(ranges)}; {clock_advice(truth.stamps_s, estimate.stamps_s)}"
+            "give trajectories of one run, or a larger --tolerance-s"
+        )
     _warn_of_better_fit(estimate, truth, own, true)
     poses, true_poses = estimate.poses[own], truth.poses[true]
     motion = fit_motion(poses, true_poses) if config.alignment == "se2" else IDENTITY
@@ -339,16 +347,3 @@ def _pairs(progress: F64, delta: float) -> tuple[I64, I64]:
         if value - progress[ends[-1]] >= delta * (1.0 - _ROUNDING):
             ends.append(index)
     return np.array(ends[:-1], dtype=np.int64), np.array(ends[1:], dtype=np.int64)
-
-
-def _no_match(estimate: Trajectory, truth: Trajectory, met: int, tolerance_s: float) -> str:
-    ranges = [
-        f"{item.name} has {counted(len(item), 'pose')} from {item.stamps_s[0]:.3f} to "
-        f"{item.stamps_s[-1]:.3f} s"
-        for item in (estimate, truth)
-    ]
-    return (
-        f"wanted at least two poses within {tolerance_s:g} s of a true one, found {met}; "
-        f"{ranges[0]}, {ranges[1]}; {clock_advice(truth.stamps_s, estimate.stamps_s)}"
-        "give trajectories of one run, or a larger --tolerance-s"
-    )

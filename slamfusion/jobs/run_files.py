@@ -47,12 +47,11 @@ class SavedMaps:
         if paths and not files:
             message = f"{paths[0].path}: the path needs its map; give it with --inputs MAP"
             raise ConfigError(message)
-        names = [free_name(name) for name in own]
         found = files_by_case(own, paths, "--paths")
         return cls(
             files,
-            tuple(names),
-            {name: found[key] for key, name in zip(own, names, strict=True) if key in found},
+            tuple(map(free_name, own)),
+            {free_name(name): file for name, file in found.items()},
         )
 
     def load(
@@ -70,11 +69,8 @@ class SavedMaps:
 
 def free_name(name: str, taken: Collection[str] = ()) -> str:
     """Return the name of a saved map, changed where a producer or a fused map has it."""
-    return (
-        f"{name} (saved)"
-        if name in {*producer_names(), outputs.FUSED, outputs.DRAWN, *taken}
-        else name
-    )
+    is_taken = name in {*producer_names(), outputs.FUSED, outputs.DRAWN, *taken}
+    return f"{name} (saved)" if is_taken else name
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -186,8 +182,8 @@ class DrawnMap:
     def of(cls, grid: OccupancyGrid, config: RunConfig) -> DrawnMap:
         """Measure a drawn map."""
         classified = grid.classified(config.fusion.normalize)
-        doubled = doubled_wall_share(classified.cells == 1)
-        return cls(grid, None, doubled, wall_thickness(classified))
+        share = doubled_wall_share(classified.cells == 1)
+        return cls(grid, None, share, wall_thickness(classified))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

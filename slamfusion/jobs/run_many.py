@@ -186,6 +186,7 @@ def run_one(
 
 def outcome(task: LogTask, run: LogRun, warnings: Sequence[str]) -> RunOfLog:
     """Return the outcome of a task whose files are written; ``warnings`` of its inputs."""
+    odd = (*unaligned_sentences(run.evaluations), *map(": ".join, run.log_faults()))
     return RunOfLog(
         log=task.log,
         seed=task.seed,
@@ -197,12 +198,7 @@ def outcome(task: LogTask, run: LogRun, warnings: Sequence[str]) -> RunOfLog:
         fused_count=0 if run.usable is None else len(run.usable.accepted),
         recommendation=run.recommendation,
         error=run.error,
-        warnings=(
-            *warnings,
-            *unaligned_sentences(run.evaluations),
-            *map(": ".join, run.log_faults()),
-            *run.sentences(),
-        ),
+        warnings=(*warnings, *odd, *run.sentences()),
         not_measured=run.not_measured,
         time_s=run.time_s,
         rows=run_rows(run, task.case, "" if task.seed is None else str(task.seed)),

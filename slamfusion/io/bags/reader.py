@@ -197,7 +197,12 @@ def _files(path: Path, notes: list[str]) -> list[Path]:
     """Return the storage files of a bag: those in its index, else all of one kind."""
     if not path.is_dir():
         return [path]
-    kinds = (sorted(path.glob(pattern), key=_in_number_order) for pattern in STORAGE_FILES)
+
+    def place(file: Path) -> list[str | int]:
+        # Part 10 is after part 2.
+        return [int(part) if part.isdigit() else part for part in re.split(r"(\d+)", file.name)]
+
+    kinds = (sorted(path.glob(pattern), key=place) for pattern in STORAGE_FILES)
     there = next((files for files in kinds if files), [])
     try:
         index = read_yaml(path / METADATA, LogError, "a bag's metadata", as_text=True)
@@ -217,11 +222,6 @@ def _add_note(notes: list[str], note: str) -> None:
     """Add a sentence once: a bag is opened for each pass."""
     if note not in notes:
         notes.append(note)
-
-
-def _in_number_order(file: Path) -> list[str | int]:
-    """Return a key that sorts part 10 after part 2."""
-    return [int(part) if part.isdigit() else part for part in re.split(r"(\d+)", file.name)]
 
 
 def _encoding(connection: Connection) -> str:
