@@ -299,8 +299,8 @@ def _checks(
     if evidence.scores[path].seen_share < LITTLE_SEEN:
         what = "little was seen a second time, so nothing confirms the path"
         add(0.0, float(since_s[-1]), float(since_s[-1]), 0.0, what)
-    contradicted = contradicted_share(evidence, path)
-    is_contradicted = evidence.scores[path].seen_consistency < PRICE
+    contradicted, likelihood = contradicted_share(evidence, path)
+    is_contradicted = likelihood < PRICE
     if is_contradicted or contradicted > DOUBTED:
         free = f"{contradicted:.0%} of what the robot saw was free space at other times"
         worse = "what the robot saw at other times predicts the scans worse than nothing"
