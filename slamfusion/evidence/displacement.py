@@ -181,18 +181,15 @@ def find_place_seen_before(evidence: PathEvidence, name: str) -> Displacement | 
     return None
 
 
-def contradicted_share(evidence: PathEvidence, name: str) -> tuple[float, float]:
+def contradicted_share(evidence: PathEvidence, name: str) -> float:
     """Return the share of hits, 0 to 1, that fell on free space seen at another time.
 
-    And their mean log-likelihood under what was seen then. Only hits count that scans shortly
-    before and after explain, in places seen at other times; without such hits both are 0.
+    Only hits count that scans shortly before and after explain, in places seen at other times.
     """
     drawn = _drawn(evidence, name)
     (now, _), (then, is_seen) = (drawn.look_up(among=bits) for bits in (NEIGHBOURS, OTHERS))
     is_asked = is_seen & (now > PRICE)
-    if not is_asked.any():
-        return 0.0, 0.0
-    return float(np.mean(then[is_asked] < PRICE)), float(np.mean(then[is_asked]))
+    return float(np.mean(then[is_asked] < PRICE)) if is_asked.any() else 0.0
 
 
 def find_contradiction(evidence: PathEvidence, name: str) -> Contradiction | None:
