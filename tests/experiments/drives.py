@@ -37,7 +37,6 @@ def room_files(folder: Path, name: str = "room", *, relations: bool = True) -> L
     """Write the room with drifting odometry, its relations and its truth."""
     made = room(name, drift=0.3)
     known, truth = made.ground_truth.relations, made.ground_truth.truth
-    assert truth is not None
     files = LogFiles(
         folder / f"{name}.log",
         folder / f"{name}.relations" if relations else None,

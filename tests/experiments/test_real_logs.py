@@ -36,9 +36,7 @@ CONFIG = RunConfig()
 
 
 def truth() -> Trajectory:
-    reference = room().ground_truth.truth
-    assert reference is not None
-    return reference
+    return room().ground_truth.truth
 
 
 def test_the_reference_map_is_drawn_at_the_reference_poses() -> None:

@@ -56,7 +56,6 @@ def test_a_copy_is_named_and_changes_no_vote(device: ComputeDevice) -> None:
     assert (copy.name, copy.copy_of, copy.accepted) == ("again", "a", False)
     assert "the same map as a" in copy.reason
     voter = result.inputs[0].alignment
-    assert voter is not None
     assert copy.alignment == replace(voter, moving="again")
 
 

@@ -75,7 +75,6 @@ def test_the_store_holds_what_fuse_makes(
     assert told.count("vote") > 4
     assert_same(stored, whole)
     for result, stem in zip((whole, *whole.others), stored.stems, strict=True):
-        assert stem is not None
         assert np.array_equal(load_map(f"{stem}.yaml").cells, result.fused.cells)
     document = plain(stored.document())
     check_document(plain(document), "fuse")

@@ -37,10 +37,6 @@ def test_a_log_has_its_rate_its_gaps_and_its_odometry(tmp_path: Path) -> None:
     assert found.longest_gap_s == pytest.approx(3.0 + step_s)
     assert found.duration_s == pytest.approx(19 * step_s + 3.0)
     assert found.beams == str(len(scans[0].scan.ranges))
-    first, last = scans[0].odometry, scans[-1].odometry
-    assert first is not None
-    assert last is not None
-    assert found.odometry_m is not None
     assert found.odometry_m > 0.0
 
 
@@ -80,7 +76,6 @@ def test_stamps_that_cannot_be_right_are_named(
     ]
     write_carmen(tmp_path / "drive.log", scans)
     found = describe(tmp_path / "drive.log")
-    assert found.log is not None
     assert (found.log.rate_hz, found.log.out_of_order) == figures
     assert any(remark in sentence for sentence in found.remarks)
 

@@ -68,14 +68,12 @@ def commands_with_json(group: click.Group, *words: str) -> set[str]:
     context = click.Context(group)
     for name in group.list_commands(context):
         command = group.get_command(context, name)
-        assert command is not None
         if isinstance(command, click.Group) and name != "slam":
             found |= commands_with_json(command, *words, name)
             continue
         leaf: click.Command | None = command
         if isinstance(command, click.Group):
             leaf = command.get_command(click.Context(command), BUILT_IN[0])
-        assert leaf is not None
         if any("--json" in parameter.opts for parameter in leaf.params):
             found.add(" ".join((*words, name)))
     return found

@@ -66,7 +66,6 @@ def process_of(name: str) -> int | None:
 def signal_to(name: str, number: signal.Signals) -> Callable[[SideBySide], None]:
     def send(_: SideBySide) -> None:
         process = process_of(name)
-        assert process is not None
         os.kill(process, number)
 
     return send

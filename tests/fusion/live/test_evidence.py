@@ -130,7 +130,6 @@ def test_the_map_drawn_first_gives_the_frame(device: ComputeDevice) -> None:
 def test_a_map_drawn_on_another_frame_is_not_used(device: ComputeDevice) -> None:
     drive = started(device)
     before, (lattice, transforms) = drive.fused, place_of(drive)
-    assert before is not None
     other = Lattice(lattice.resolution, Pose2(1.0, 2.0, 0.3))
     drawn = moved_frame(shifted(before, 3), Pose2(1.0, 2.0, 0.3))
     drive.live.put_evidence(Evidence(transforms, {}, other, drawn))

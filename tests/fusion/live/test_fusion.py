@@ -261,7 +261,6 @@ def test_a_reference_that_is_drawn_anew_beside_its_lattice_each_time_keeps_the_f
     others = [moved_frame(drawn(name, 0, 0), AWAY) for name in "bc"]
     drive.step(drawn("a", 0, 0), *others)
     first = drive.fused
-    assert first is not None
     for number in range(1, 7):
         drive.step(drawn("a", number, 2 * number + 1))
         assert drive.accepted() == "abc"

@@ -48,7 +48,6 @@ def wings(seed: int = 1) -> tuple[Callable[[float, float], tuple[OccupancyGrid, 
 def assert_right(drive: Drive, b: OccupancyGrid, motion: Pose2) -> None:
     """Assert that both vote, and that b lies right in a's frame."""
     a_in_fused, b_in_fused = drive.input("a").transform, drive.input("b").transform
-    assert b_in_fused is not None
     cells, degrees = off_by(b, a_in_fused.inverse().compose(b_in_fused), motion)
     assert drive.accepted() == "ab", drive.input("b").reason
     assert cells <= CELLS
@@ -93,7 +92,6 @@ def test_walls_that_moved_are_still_noticed_where_little_is_shared(device: Compu
     before = drive.input("b").transform
     drive.step(a, shifted(b, 15))
     now = drive.input("b")
-    assert now.transform is not None
     is_moved = before.inverse().compose(now.transform)
     assert not now.accepted or abs(is_moved.x) + abs(is_moved.y) > 1.0
 

@@ -177,7 +177,6 @@ def test_why_nothing_is_fused_is_said(device: ComputeDevice) -> None:
     state = session.snapshot
     assert state.nothing_fused == "nothing is fused: waits for 2 inputs that agree, has 1"
     assert desk.went == []
-    assert state.update is not None
     state = replace(state, update=replace(state.update, problem=""))
     assert state.nothing_fused == "no input votes: the fused map is drawn from the scans alone"
     desk.put(three()["b"])

@@ -81,9 +81,7 @@ def test_a_path_is_not_read_node_by_node():
 def entropy_of(poses: F64) -> float:
     paths = ParticlePaths(len(poses))
     paths.add_node(poses, None)
-    entropy = paths.entropy()
-    assert entropy is not None
-    return entropy
+    return paths.entropy()
 
 
 def cloud(sigmas: tuple[float, float, float], centre: F64, count: int = 2000) -> F64:
