@@ -9,23 +9,7 @@ from pathlib import Path
 import pytest
 
 from tests.cli.command import MAPS, TRUTH, assert_one_line_failure, run
-
-YAML = """image: map.pgm
-resolution: 0.05
-origin: [0.0, 0.0, 0.0]
-negate: 0
-occupied_thresh: 0.65
-free_thresh: 0.196
-"""
-SIZE = 40
-PIXELS = bytes(205 for _ in range(SIZE * SIZE))
-
-
-def write_map(folder: Path, text: str = YAML, image: bytes = PIXELS) -> Path:
-    """Write map.yaml, and map.pgm with these cells."""
-    (folder / "map.yaml").write_text(text, encoding="utf-8")
-    (folder / "map.pgm").write_bytes(b"P5\n%d %d\n255\n" % (SIZE, SIZE) + image)
-    return folder / "map.yaml"
+from tests.io.pictures import pgm, write_map
 
 
 def test_a_store_that_exists_is_one_line(tmp_path: Path) -> None:
@@ -40,8 +24,7 @@ def test_a_store_that_exists_is_one_line(tmp_path: Path) -> None:
 @pytest.mark.parametrize("command", ["align", "evaluate", "fuse"])
 def test_cell_sizes_that_differ_too_much_are_refused(tmp_path: Path, command: str) -> None:
     """The finest cell decides: another map of 15 m would have 2e10 cells."""
-    text = YAML.replace("resolution: 0.05", "resolution: 0.0001")
-    fine = write_map(tmp_path, text, bytes(20 * [0, 254]) * SIZE)
+    fine = write_map(tmp_path, pgm([20 * [0, 254]] * 40), resolution="0.0001")
     arguments = {
         "align": [MAPS[0], fine],
         "evaluate": [MAPS[0], "--truth", fine],

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from slamfusion.geometry import Pose2
-from slamfusion.grid import CellBox, OccupancyGrid
+from slamfusion.grid import OCCUPIED, CellBox, OccupancyGrid
 from slamfusion.io import load_map, save_map
 from tests.cli.command import MAPS, TRUTH, json_of, run, run_here, tree
 
@@ -26,19 +26,13 @@ def pose_of(record: dict[str, Any]) -> Pose2:
 def stranger(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A map of another place: a big empty hall with a zigzag through it."""
     folder = tmp_path_factory.mktemp("stranger")
-    cells = np.full((240, 240), 254, dtype=np.uint8)
-    cells[[0, -1]] = 0
-    cells[:, [0, -1]] = 0
+    cells = np.zeros((240, 240), dtype=np.int8)
+    cells[[0, -1]] = OCCUPIED
+    cells[:, [0, -1]] = OCCUPIED
     for step in range(0, 200, 2):
         fold = abs(step % 80 - 40)
-        cells[20 + step : 23 + step, 60 + 3 * fold : 64 + 3 * fold] = 0
-    (folder / "stranger.pgm").write_bytes(b"P5\n240 240\n255\n" + cells.tobytes())
-    (folder / "stranger.yaml").write_text(
-        "image: stranger.pgm\nresolution: 0.05\norigin: [0, 0, 0]\nnegate: 0\n"
-        "occupied_thresh: 0.65\nfree_thresh: 0.196\n",
-        encoding="utf-8",
-    )
-    return folder / "stranger.yaml"
+        cells[20 + step : 23 + step, 60 + 3 * fold : 64 + 3 * fold] = OCCUPIED
+    return save_map(OccupancyGrid(cells[::-1], 0.05), folder / "stranger")[0]
 
 
 def test_transforms_are_printed_ready_to_paste(tmp_path: Path) -> None:

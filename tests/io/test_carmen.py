@@ -5,6 +5,7 @@ from __future__ import annotations
 import gzip
 import math
 import zlib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,7 @@ from slamfusion.io import LogScan, open_log, write_carmen
 from slamfusion.io.carmen import CarmenLog
 from slamfusion.io.log import LogRecord, Skips
 from slamfusion.scan import LaserScan
-from tests.io.logs import ORIGIN, flaser, robotlaser, write_lines
+from tests.io.logs import flaser, robotlaser, write_lines
 from tests.support.datasets import DATASETS
 from tests.support.examples import examples
 
@@ -323,23 +324,11 @@ def test_what_is_written_reads_back(
         np.testing.assert_allclose(back.scan.ranges[hits], wanted.scan.ranges[hits], atol=2e-4)
 
 
-def one_scan(stamp: float = 1.0, **changes: object) -> LogScan:
-    geometry = {
-        "ranges": np.linspace(1.0, 5.0, 181, dtype=np.float32),
-        "angle_min_rad": -math.pi / 2.0,
-        "angle_increment_rad": math.pi / 180.0,
-        "range_min_m": 0.0,
-        "range_max_m": 10.0,
-        **changes,
-    }
-    return LogScan(LaserScan(stamp_s=stamp, **geometry), Pose2(*ORIGIN), 1)
-
-
 def test_a_scan_without_odometry_cannot_be_written(tmp_path: Path) -> None:
-    path = tmp_path / "a.log"
-    scans = [one_scan(1.0), LogScan(one_scan(2.0).scan, None, 2)]
+    path = tmp_path / "b.log"
+    first, second = log_of(tmp_path, flaser(1), flaser(2))
     with pytest.raises(LogError, match="scan 2 has no odometry"):
-        write_carmen(path, scans)
+        write_carmen(path, [first, replace(second, odometry=None)])
     assert not path.exists()
 
 

@@ -12,7 +12,6 @@ import cv2
 import hypothesis.extra.numpy as arrays
 import numpy as np
 import numpy.typing as npt
-import PIL.Image
 import pytest
 import yaml
 from hypothesis import given, settings
@@ -32,13 +31,13 @@ CELLS = [[100, 0, 0], [0, 100, -1]]  # bottom row first
 TINY = pgm(ROWS)
 
 
-def values_of(path: Path, **arguments: float) -> list[list[int]]:
-    return load_map(path, **arguments).cells.tolist()
+def values_of(path: Path) -> list[list[int]]:
+    return load_map(path).cells.tolist()
 
 
-def shade_of(value: int, maxval: int = 255) -> float:
+def shade_of(value: int) -> float:
     """Occupancy of a grey as a map server reckons it."""
-    return 1.0 - value / maxval
+    return 1.0 - value / 255
 
 
 def test_row_zero_of_the_picture_is_the_top_of_the_map(tmp_path: Path) -> None:
@@ -610,15 +609,9 @@ GREYS = np.repeat(np.array([[254, 205, 0]], dtype=np.uint8), 4, axis=0)
 RIGHT = [FREE, UNKNOWN, OCCUPIED]
 
 
-def written(folder: Path, pixels: np.ndarray, image: str = "map.png") -> Path:
-    PIL.Image.fromarray(pixels).save(folder / "map.png")
-    path = folder / "map.yaml"
-    path.write_text(
-        f"image: '{image}'\nresolution: 0.05\norigin: [0.0, 0.0, 0.0]\nnegate: 0\n"
-        "occupied_thresh: 0.65\nfree_thresh: 0.196\n",
-        encoding="utf-8",
-    )
-    return path
+def written(folder: Path, pixels: np.ndarray, **changes: str) -> Path:
+    """Write a map whose picture has colour channels that are equal, and may have alpha."""
+    return write_map(folder, cv2.imencode(".png", pixels)[1].tobytes(), "map.png", **changes)
 
 
 def test_colours_without_alpha_need_no_word(tmp_path: Path) -> None:
@@ -631,7 +624,7 @@ def test_colours_without_alpha_need_no_word(tmp_path: Path) -> None:
 @pytest.mark.parametrize("image", ["/home/a/maps/map.png", "C:\\maps\\map.png", "maps/map.png"])
 def test_a_picture_of_another_machine_lies_beside_the_yaml(tmp_path: Path, image: str) -> None:
     said: list[str] = []
-    path = written(tmp_path, GREYS, image)
+    path = written(tmp_path, GREYS, image=f"'{image}'")
     assert load_map(path, warn=said.append).cells[0].tolist() == RIGHT
     assert len(said) == 1
     assert "map.png next to the YAML" in said[0]
@@ -640,7 +633,7 @@ def test_a_picture_of_another_machine_lies_beside_the_yaml(tmp_path: Path, image
 @pytest.mark.parametrize("image", ["/home/a/maps/other.png", "C:\\", "maps/"])
 def test_a_picture_that_is_nowhere_is_named_as_the_yaml_does(tmp_path: Path, image: str) -> None:
     with pytest.raises(MapFileError, match="'image' names"):
-        load_map(written(tmp_path, GREYS, image))
+        load_map(written(tmp_path, GREYS, image=f"'{image}'"))
 
 
 # A wall of two cells, drawn with a fringe of one grey cell on one side and of two on the other.
@@ -669,8 +662,7 @@ def test_a_fringe_of_grey_is_settled_at_half_where_maps_are_measured(
 
 
 def test_probabilities_beside_walls_are_settled_too(tmp_path: Path) -> None:
-    path = written(tmp_path, FRINGED)
-    path.write_text(path.read_text(encoding="utf-8") + "mode: scale\n", encoding="utf-8")
+    path = written(tmp_path, FRINGED, mode="scale")
     classes = trinary_cells(load_map(path, settle_edges=True).cells, NormalizeConfig())[0]
     assert classes.tolist() == [0, 0, 1, 1, 1, 1, 0, 0, 0]
 
