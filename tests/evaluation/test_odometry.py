@@ -13,10 +13,11 @@ from hypothesis import strategies as st
 from slamfusion.errors import TrajectoryError
 from slamfusion.evaluation.odometry import match_odometry, poses_by_odometry, rows_by_stamp
 from slamfusion.evaluation.relations import Relations, read_relations, relation_errors
-from slamfusion.geometry import compose_poses, invert_poses
+from slamfusion.geometry import compose_poses
 from slamfusion.io.trajectories import read_trajectory
 from slamfusion.json_values import plain
 from slamfusion.trajectory import Trajectory
+from tests.evaluation.test_relations import random_pairs, relations_of
 from tests.evidence.rooms import by_steps
 from tests.support.datasets import ABSENT, DATASETS
 from tests.support.examples import examples
@@ -43,17 +44,12 @@ def part(path: Trajectory, rows: npt.NDArray[np.int64], late_s: npt.ArrayLike = 
     return Trajectory(stamps, path.poses[rows], f"part of {path.name}")
 
 
-def own_relations(path: Trajectory, count: int = 300) -> Relations:
-    pairs = np.random.default_rng(5).integers(0, len(path), (count, 2))
-    made = compose_poses(invert_poses(path.poses[pairs[:, 0]]), path.poses[pairs[:, 1]])
-    return Relations(path.stamps_s[pairs], made, "own")
-
-
 def test_at_every_row_the_estimate_is_kept() -> None:
     truth, odometry = run()
+    relations = relations_of(truth, random_pairs(300, 400))
     for scans in (None, odometry):
         dense = poses_by_odometry(truth, scans, odometry, tolerance_s=TOLERANCE_S)
-        found = relation_errors(dense.trajectory, own_relations(truth), TOLERANCE_S)
+        found = relation_errors(dense.trajectory, relations, TOLERANCE_S)
         assert found.relations_used == 300
         assert found.translation.mean < 0.002
         # Where the robot stands, any of the equal rows may be taken for a scan's.
@@ -77,7 +73,7 @@ def test_between_scans_the_wheels_carry_the_pose_on() -> None:
         "poses_used": 40,
         "poses_without_row": 0,
     }
-    relations = own_relations(truth)
+    relations = relations_of(truth, random_pairs(300, 400))
     carried = relation_errors(dense.trajectory, relations, TOLERANCE_S)
     assert carried.relations_used == 300
     drifted = relation_errors(odometry, relations, TOLERANCE_S)
@@ -108,7 +104,7 @@ def test_stamps_that_are_off_do_no_harm_where_the_log_is_known() -> None:
     estimate, scans = (
         Trajectory(stamps, path.poses[rows], path.name) for path in (truth, odometry)
     )
-    relations = own_relations(truth)
+    relations = relations_of(truth, random_pairs(300, 400))
     means = {}
     for known in (scans, None):
         dense = poses_by_odometry(estimate, known, odometry, tolerance_s=TOLERANCE_S)

@@ -46,11 +46,6 @@ def drive(count: int = 200, seed: int = 1, noise: float = 0.0) -> Trajectory:
     return Trajectory(1e9 + 0.1 * np.arange(count), poses + wrong, f"drive-{seed}")
 
 
-def moved(path: Trajectory, motion: Pose2) -> Trajectory:
-    poses = compose_poses((motion.x, motion.y, motion.yaw_rad), path.poses)
-    return Trajectory(path.stamps_s, poses, path.name)
-
-
 def rotations(errors: Any) -> tuple[float, float]:
     return float(errors.rotation_rad.max()), float(errors.relative_rotation_rad.max())
 
@@ -58,7 +53,7 @@ def rotations(errors: Any) -> tuple[float, float]:
 @given(st.floats(-900, 900), st.floats(-900, 900), st.floats(-4, 4))
 def test_a_path_in_another_frame_has_no_error(x: float, y: float, yaw_rad: float) -> None:
     motion = Pose2(x, y, yaw_rad)
-    found = trajectory_errors(moved(drive(), motion), drive())
+    found = trajectory_errors(drive().moved(motion), drive())
     assert found.translation_m.max() < 1e-8
     assert found.relative_translation_m.max() < 1e-8
     assert max(rotations(found)) < 1e-8
@@ -68,7 +63,7 @@ def test_a_path_in_another_frame_has_no_error(x: float, y: float, yaw_rad: float
 
 
 def test_without_alignment_the_shift_is_the_error() -> None:
-    found = trajectory_errors(moved(line(), Pose2(3.0, 4.0, 0.0)), line(), AS_IT_LIES)
+    found = trajectory_errors(line().moved(Pose2(3.0, 4.0, 0.0)), line(), AS_IT_LIES)
     assert found.translation_m == pytest.approx(np.full(11, 5.0))
     assert found.relative_translation_m.max() < 1e-12
     assert found.alignment.transform == Pose2()
@@ -117,7 +112,7 @@ def test_a_jump_is_one_relative_error_and_turns_what_follows() -> None:
 
 def test_the_document_says_how_it_was_counted() -> None:
     truth = Trajectory(line().stamps_s[2:8], line().poses[2:8], "truth")
-    document = plain(trajectory_errors(moved(line(), Pose2(0.0, 1.0)), truth))
+    document = plain(trajectory_errors(line().moved(Pose2(0.0, 1.0)), truth))
     assert set(document["ate"]) == {"rmse", "mean", "median", "std", "min", "max"}
     assert set(document["rpe"]) == set(document["ate"])
     assert (document["poses"], document["poses_matched"], document["rpe_pairs"]) == (11, 6, 5)
@@ -246,7 +241,7 @@ def assert_as_evo(estimate: Trajectory, truth: Trajectory, config: TrajectoryCon
 def test_drawn_paths_have_evos_errors(seed: int, alignment: str, delta: float, unit: str) -> None:
     pytest.importorskip("evo", reason="evo comes with the test extra")
     truth = drive(seed=seed)
-    noisy = moved(drive(seed=seed, noise=0.05), Pose2(4.0, -1.0, 2.5))
+    noisy = drive(seed=seed, noise=0.05).moved(Pose2(4.0, -1.0, 2.5))
     config = TrajectoryConfig(alignment=alignment, rpe_delta=delta, rpe_unit=unit)
     assert_as_evo(noisy, truth, config)
 

@@ -10,7 +10,6 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 import pandas as pd
 import pytest
 from scipy import stats
@@ -32,7 +31,6 @@ from slamfusion.report.result_plots import running
 from tests.cli.command import MAPS
 from tests.support.documents import check_document
 
-Series = npt.NDArray[np.float64]
 CASES = ("intel", "mit", "office", "hall")
 ROWS = [
     *result_rows(
@@ -53,14 +51,10 @@ def item(case: str, method: str, seed: str = "", **figures: float) -> list[Row]:
     return result_rows(case, seed, method, figures)
 
 
-def series(errors: Sequence[float], first_s: float = 0.0) -> Series:
-    return error_series(np.array(errors), first_s + np.arange(len(errors), dtype=float))
-
-
 def path_item(case: str, method: str, error_m: float) -> list[Row]:
     errors = error_m * (1.0 + 0.2 * np.sin(np.arange(120.0) / 7.0 + error_m))
-    rmse = float(np.sqrt(np.mean(errors**2)))
-    return result_rows(case, "", method, {"ate_rmse_m": rmse}, {"ate_m": series(list(errors))})
+    rmse, series = float(np.sqrt(np.mean(errors**2))), error_series(errors, np.arange(120.0))
+    return result_rows(case, "", method, {"ate_rmse_m": rmse}, {"ate_m": series})
 
 
 def joined(parts: Iterable[Sequence[Row]]) -> list[Row]:
