@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -65,7 +64,6 @@ def cast(lasers: F64, angles: F64) -> F64:
 
 def swept(
     stamp_s: float,
-    path: Callable[[F64], F64] = path_at,
     *,
     step_rad: float = math.tau / BEAMS,
     mount: Pose2 | None = None,
@@ -75,7 +73,7 @@ def swept(
     mount = Pose2(0.1, 0.0, 0.0) if mount is None else mount
     increment_s = sweep_s / BEAMS
     beams = np.arange(BEAMS, dtype=np.float64)
-    poses = path(np.asarray(stamp_s + increment_s * beams))
+    poses = path_at(np.asarray(stamp_s + increment_s * beams))
     lasers = compose_poses(poses, (mount.x, mount.y, mount.yaw_rad))
     ranges = cast(lasers, np.asarray(-math.pi + step_rad * beams)).astype(np.float32)
     return LaserScan(
@@ -83,9 +81,9 @@ def swept(
     )
 
 
-def off_walls(scan: LaserScan, path: Callable[[F64], F64] = path_at) -> float:
+def off_walls(scan: LaserScan) -> float:
     """Return the mean distance of hits from the nearest wall, metres, seen from the stamp."""
-    pose = path(np.array([scan.stamp_s]))
+    pose = path_at(np.array([scan.stamp_s]))
     ends = scan.points()
     at = transform_points(np.repeat(pose, len(ends), axis=0), ends)
     start, along = WALLS[:, :2], WALLS[:, 2:] - WALLS[:, :2]

@@ -23,11 +23,8 @@ NORMALIZE = NormalizeConfig()
 draw = partial(drawings.draw, resolution=0.05)
 
 
-def compare(
-    grid: OccupancyGrid, truth: OccupancyGrid, transform: Pose2 = IDENTITY, margin_m: float = 0.0
-) -> MapError:
-    config = RunConfig(evaluate=EvaluateConfig(margin_m))
-    return compare_to_truth(grid, truth, transform, config)
+def compare(grid: OccupancyGrid, truth: OccupancyGrid) -> MapError:
+    return compare_to_truth(grid, truth, IDENTITY, RunConfig(evaluate=EvaluateConfig(0.0)))
 
 
 def outside(grid: OccupancyGrid, truth: OccupancyGrid, margin_m: float = 0.0) -> float:

@@ -46,22 +46,16 @@ from tests.fusion.drawings import building, fusion_config
 
 pytestmark = pytest.mark.once
 
-PARTICLES = 5
 
-
-def small(config: RunConfig = RunConfig()) -> RunConfig:  # noqa: B008 - frozen
+def small() -> RunConfig:
     """Few particles, one drive."""
     return replace(
-        with_settings(config, "gmapping", particles=PARTICLES),
+        with_settings(RunConfig(), "gmapping", particles=5),
         experiment=ExperimentConfig(
             ground_obstacle=GroundObstacleConfig(repetitions=1, worlds=1),
             failures=FailuresConfig(repetitions=1),
         ),
     )
-
-
-def setup(folder: Path) -> Setup:
-    return Setup(small(), open_device(), folder)
 
 
 def short(trial: Trial) -> Trial:
@@ -110,8 +104,9 @@ def test_a_trial_that_fails_is_named(tmp_path: Path) -> None:
     trial = obstacle_trials(small())[0]
     turn, forward, _ = trial.course.script
     course = replace(trial.course, script=(replace(forward, forward_m=100.0), turn))
+    setup = Setup(small(), open_device(), tmp_path)
     with pytest.raises(SlamFusionError, match="no-obstacle-w1-s0: "):
-        run_trials("t", "t", [replace(trial, course=course)], setup(tmp_path))
+        run_trials("t", "t", [replace(trial, course=course)], setup)
 
 
 @pytest.mark.full

@@ -13,10 +13,10 @@ from slamfusion.io.yaml_file import DEPTH_MAX, VALUES_MAX, read_yaml
 pytestmark = pytest.mark.once
 
 
-def nine_levels(width: int = 9) -> str:
+def nine_levels() -> str:
     """Return ten lines that stand for 9 ** 10 values."""
-    lines = ["a0: &a0 [" + ", ".join("x" * width) + "]"]
-    lines += [f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * width)}]" for i in range(1, 10)]
+    lines = ["a0: &a0 [" + ", ".join("x" * 9) + "]"]
+    lines += [f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 9)}]" for i in range(1, 10)]
     return "\n".join(lines)
 
 

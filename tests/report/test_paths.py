@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -35,9 +34,9 @@ CONFIG = RunConfig()
 ESTIMATE, OTHER = OTHERS[:2]
 
 
-def path_of(places: list[tuple[float, float]], name: str = "path") -> Trajectory:
+def path_of(places: list[tuple[float, float]]) -> Trajectory:
     poses = np.column_stack((np.array(places), np.zeros(len(places))))
-    return Trajectory(np.arange(len(places), dtype=np.float64), poses, name)
+    return Trajectory(np.arange(len(places), dtype=np.float64), poses, "path")
 
 
 def corner() -> Trajectory:
@@ -51,27 +50,26 @@ def own_map() -> OccupancyGrid:
     return room("room", 1)
 
 
-def in_room(count: int = 60, wrong: float = 0.0) -> Trajectory:
+def in_room(wrong: float = 0.0) -> Trajectory:
     """A round in the room of ``own_map``."""
-    turn = np.linspace(0.0, 2.0 * np.pi, count)
+    turn = np.linspace(0.0, 2.0 * np.pi, 60)
     errors = wrong * np.sin(5.0 * turn)
     poses = np.column_stack(
         (-1.5 + np.cos(turn) + errors, 501.0 + 0.5 * np.sin(turn) - errors, turn + np.pi / 2)
     )
-    return Trajectory(np.arange(count, dtype=np.float64), poses, "round")
+    return Trajectory(np.arange(60.0), poses, "round")
 
 
-def relation_values(translation_m: Any, stamps_s: Any) -> RelationErrors:
-    values = np.asarray(translation_m, dtype=np.float64)
+def relations_of_round() -> RelationErrors:
     return RelationErrors(
         relations_total=99,
         tolerance_s=0.01,
         poses=9,
         name="a",
         relations="b",
-        stamps_s=np.asarray(stamps_s),
-        translation_m=values,
-        rotation_rad=values / 10,
+        stamps_s=np.array([[0.0, 1.0], [2.0, 50.0]]),
+        translation_m=np.array([0.1, 0.2]),
+        rotation_rad=np.array([0.01, 0.02]),
     )
 
 
@@ -122,10 +120,6 @@ def result_of(run: ProducerRun, measures: Measures) -> SlamProducer:
     return SlamProducer(
         run=run, measures=measures, map_error=None, device="a device", resumed_from=None
     )
-
-
-def relations_of_round() -> RelationErrors:
-    return relation_values([0.1, 0.2], [[0.0, 1.0], [2.0, 50.0]])
 
 
 def test_the_report_of_a_run_has_all_parts(tmp_path: Path) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.config import ObstacleConfig, PersonConfig
+from slamfusion.config import ObstacleConfig
 from slamfusion.geometry import Pose2
 from slamfusion.grid import FREE, OCCUPIED, OccupancyGrid
 from slamfusion.sim.world import World
@@ -28,13 +28,11 @@ def world_of(
     grid: OccupancyGrid,
     *,
     glass: npt.NDArray[np.bool_] | None = None,
-    wall_height_m: float = 2.5,
-    people: tuple[PersonConfig, ...] = (),
     obstacles: tuple[ObstacleConfig, ...] = (),
 ) -> World:
-    """A world of a grid without glass, people and obstacles, but those that are given."""
+    """A world of a grid without people; glass and obstacles are those that are given."""
     none = np.zeros(grid.cells.shape, dtype=np.bool_)
-    return World(grid, none if glass is None else glass, wall_height_m, people, obstacles)
+    return World(grid, none if glass is None else glass, 2.5, (), obstacles)
 
 
 def clearance_m(grid: OccupancyGrid, points: npt.NDArray[np.float64]) -> float:
