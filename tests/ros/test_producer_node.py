@@ -439,7 +439,10 @@ def test_scans_before_any_odometry_are_left_out_and_named(processes: Processes, 
     processes.node("tinyslam", odometry_wait_s=1.0, scan_queue=2)
     processes.node("fusion", inputs=["tinyslam/map"], odometry_wait_s=1.0)
     robot.wait_for(listeners=2)
-    for item in scans(25):
+    first, *others = scans(25)
+    robot.send(first)
+    observer.listen(0.3)  # the nodes wait for its odometry before the others come
+    for item in others:
         robot.send(item)
     for name in ("tinyslam: slam", "fusion: fusion"):
         observer.wait_status(name, "scans wait for their odometry or transform: the oldest")
