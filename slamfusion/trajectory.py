@@ -83,7 +83,8 @@ class Trajectory:
             raise TrajectoryError(message)
         stamps.flags.writeable = False
         poses.flags.writeable = False
-        vars(self).update(stamps_s=stamps, poses=poses)
+        object.__setattr__(self, "stamps_s", stamps)
+        object.__setattr__(self, "poses", poses)
 
     def __len__(self) -> int:
         return len(self.stamps_s)

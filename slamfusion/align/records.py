@@ -189,7 +189,7 @@ class Fusion:
             return (f"{first} and {second} agree on only {share}, {worst}",)
         limit = "; it votes only where it agrees"
         return tuple(
-            f"{name}: {found.words}{limit * (name in self.weights)}"
+            f"{name}: {found.words}{limit if name in self.weights else ''}"
             for name, found in self.bent.items()
         )
 

@@ -148,7 +148,7 @@ def describe(
     found = _log_info(log, config, progress or (lambda *_: None))
     others = [item.name for item in sorted(path.glob("*")) if path != log != item]
     also = f"also in {path}: {', '.join(others[:MOST_NAMED])}"
-    return replace(found, remarks=[*found.remarks, *[also] * bool(others)])
+    return replace(found, remarks=[*found.remarks, also]) if others else found
 
 
 def _log_info(path: Path, config: RunConfig, progress: Progress) -> InfoDocument:
