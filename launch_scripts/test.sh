@@ -12,10 +12,10 @@ venv="$root/.venv"
 jazzy="$root/.venv-jazzy"
 constraints="$root/launch_scripts/constraints-jazzy.txt"
 
-# A test process for each core, and one PoCL thread in each: the second leg runs while tests with nodes
-# wait. Each process takes some 20 s of processor time to collect and load what its tests need.
+# A test process for each core, one more for the tests with nodes, which mostly wait, and one PoCL
+# thread in each. Each process takes some 20 s of processor time to collect and load what it needs.
 cores="$(nproc)"
-workers=$((cores < 8 ? cores : 8))
+workers=$(((cores < 8 ? cores : 8) + 1))
 export POCL_MAX_PTHREAD_COUNT="${POCL_MAX_PTHREAD_COUNT:-1}"
 # Hundreds of tests start a command, which would compile the whole package each time.
 unset PYTHONDONTWRITEBYTECODE

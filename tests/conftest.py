@@ -10,6 +10,8 @@ from unittest import mock
 
 import pytest
 from hypothesis import HealthCheck, settings
+from xdist.remote import Producer
+from xdist.scheduler import LoadScopeScheduling
 
 from slamfusion.compute import ComputeDevice, NumpyDevice, open_device
 from tests.support import datasets
@@ -30,40 +32,27 @@ for profile, count in PROFILES.items():
 settings.load_profile("suite")
 
 # The longest files in the order in which test processes take them, so that none of them is alone at
-# the end. Those that wait for nodes stand between those that compute.
+# the end. One process runs all tests with nodes, the first of which is in the first of these files:
+# they mostly wait, and two that wait at once leave the processor idle.
 LONGEST = (
     "ros/test_producer_node.py",
     "jobs/test_live_drive.py",
-    "cli/test_run.py",
-    "ros/test_fusion_faults.py",
-    "align/test_datasets.py",
-    "launch/test_slamfusion_sh.py",
-    "docs/test_pages.py",
-    "cli/test_commands.py",
     "jobs/test_run.py",
-    "ros/test_fusion_node.py",
-    "slam/test_mappers.py",
-    "test_installed.py",
-    "ros/test_player_node.py",
-    "fusion/test_pipeline.py",
-    "align/test_align.py",
-    "slam/graph/test_lost_robot.py",
+    "cli/test_run.py",
+    "evidence/test_refined_path.py",
+    "docs/test_pages.py",
     "jobs/test_judge.py",
-    "ros/test_live_page.py",
-    "slam/graph/test_slam.py",
+    "align/test_datasets.py",
+    "evidence/test_recommendation.py",
+    "align/test_scale_search.py",
     "golden/test_golden.py",
-    "fusion/live/test_doubts.py",
-    "ros/test_fusion_rivals.py",
-    "kernels/test_pocl.py",
-    "fusion/live/test_fusion.py",
-    "jobs/test_results.py",
-    "cli/test_several.py",
-    "cli/test_run_together.py",
-    "kernels/test_twins.py",
-    "experiments/test_trials.py",
-    "jobs/test_fuse.py",
-    "fusion/test_many.py",
-    "sim/test_simulate.py",
+    "fusion/test_pipeline.py",
+    "test_installed.py",
+    "cli/test_commands.py",
+    "slam/test_mappers.py",
+    "slam/graph/test_slam.py",
+    "fuzz/test_readers.py",
+    "fleet/test_cluster.py",
 )
 
 
@@ -103,6 +92,18 @@ def few_of_each(items: list[pytest.Item]) -> list[pytest.Item]:
         if "full" not in item.keywords:
             seen.add(function)
     return kept
+
+
+class Scheduling(LoadScopeScheduling):  # type: ignore[misc]
+    """Give all tests with nodes to one process, and any other file to the next that is free."""
+
+    def _split_scope(self, nodeid: str) -> str:
+        file = nodeid.partition("::")[0]
+        return "tests/ros/" if file.startswith(("tests/ros/", "tests/launch/")) else file
+
+
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> Scheduling:
+    return Scheduling(config, log)
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
