@@ -23,7 +23,7 @@ from slamfusion.align.normalize import (
 )
 from slamfusion.align.pair import Pair
 from slamfusion.align.records import Alignment
-from slamfusion.align.refine import settle, start_settling
+from slamfusion.align.refine import settle
 from slamfusion.align.scores import cut_pieces
 from slamfusion.align.search import (
     FINER_CHANCE_MAX,
@@ -177,10 +177,15 @@ def track_pair(pair: Pair, start: Pose2, pairs: int = 1) -> Alignment:
     began = time.perf_counter()
     if (empty := _without_walls(pair)) is not None:
         return empty
-    # The device makes the fields of the fit while the host cuts walls into pieces.
-    start_settling(pair)
-    cut_pieces(pair, pair.widths[0])
-    motion = settle(pair, pair.motion_of(start)[None])
+
+    def prepare() -> None:
+        # The device makes the fields of the next fit and of the decision; the host cuts the walls.
+        for grid in pair:
+            grid.distances(1, solid=True, everywhere=False)
+            grid.start_known(1)
+        cut_pieces(pair, pair.widths[0])
+
+    motion = settle(pair, pair.motion_of(start)[None], prepare)
     found = SearchResult(motion, None, "tracked")
     return conclude(pair, AlignConfig(), found, start, pairs, began)
 

@@ -10,6 +10,7 @@ its walls, but its mirror image fits better. A wrong resolution shows as a bette
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -33,7 +34,13 @@ from slamfusion.align.features import spread_sample
 from slamfusion.align.likelihood import likeness
 from slamfusion.align.pair import Pair, displacement, turned_about
 from slamfusion.align.refine import common_walls, narrow_fits
-from slamfusion.align.scores import SCORED_POINTS, WallPieces, score_motions, wall_pieces
+from slamfusion.align.scores import (
+    SCORED_POINTS,
+    WallPieces,
+    score_motions,
+    start_pieces,
+    wall_pieces,
+)
 from slamfusion.align.search import SearchResult, search
 from slamfusion.align.shifts import SearchWindow
 from slamfusion.compute.lattice import cells_at, fixed_cells
@@ -64,8 +71,15 @@ WIDTHS: dict[Reading, float] = {"good": 1.0, "changed": 1.0, "bent": 2.0}
 
 def weigh(pair: Pair, motions: F64, reading: Reading, scales: F64 | None = None) -> WallPieces:
     """Return the pieces of wall for motions (P, 3) in a reading, at scales (P,)."""
+    return start_weighing(pair, motions, reading, scales)()
+
+
+def start_weighing(
+    pair: Pair, motions: F64, reading: Reading, scales: F64 | None = None
+) -> Callable[[], WallPieces]:
+    """Start ``weigh``; return a function that waits for it."""
     sigma = WIDTHS[reading] * pair.widths[0]
-    return wall_pieces(pair, motions, sigma, scales=scales, sided=reading == "good")
+    return start_pieces(pair, motions, sigma, scales=scales, sided=reading == "good")
 
 
 @dataclass(frozen=True, eq=False)
@@ -221,6 +235,8 @@ def _answer(
     """
     total = pieces.total
     best = int(np.argmax(total if inside is None else np.where(inside, total, -np.inf)))
+    # The device weighs the shifts of the answer while the host compares it with the others.
+    shifted = start_weighing(pair, slides(pair, motions[best], reading), reading)
     apart = APART_WIDTHS * WIDTHS[reading] * pair.widths[0]
     order = np.argsort(-total, kind="stable")
     others = [int(k) for k in order if is_distinct(motions[k], motions[best], apart)]
@@ -256,7 +272,7 @@ def _answer(
         (chances.trials * (chances.prior if is_near else 1.0), chances.trials * START_WRONG),
         hit_share(pair, motions[best]) if reading == "bent" else 0.0,
     )
-    return _slid(pair, answer, own, pieces.most[best])
+    return _slid(answer, own, pieces.most[best], shifted())
 
 
 def is_distinct(a: F64, b: F64, cells: float = DISTINCT_CELLS) -> bool:
@@ -265,16 +281,15 @@ def is_distinct(a: F64, b: F64, cells: float = DISTINCT_CELLS) -> bool:
     return shift > cells or turn > APART_RAD
 
 
-def _slid(pair: Pair, answer: Answer, own: F64, seen: F64) -> Answer:
+def _slid(answer: Answer, own: F64, seen: F64, shifted: WallPieces) -> Answer:
     """Compare an answer that beats all other hypotheses with shifts of itself.
 
-    ``own`` and ``seen`` (B,) are the evidence of its pieces, and the most that they could have.
-    Parallel walls hold an answer across them and leave it free along them, where only the ends of
-    the common ground contradict a slide.
+    ``own`` and ``seen`` (B,) are the evidence of its pieces, and the most that they could have;
+    ``shifted`` are the pieces of the shifts. Parallel walls hold an answer across them and leave it
+    free along them, where only the ends of the common ground contradict a slide.
     """
     if not answer.is_accepted:
         return answer
-    shifted = weigh(pair, slides(pair, answer.motion, answer.reading), answer.reading)
     unseen = np.maximum(seen - shifted.most, 0.0) / np.maximum(seen, 1e-9)
     typical = float((seen * seen).sum() / max(float(seen.sum()), 1e-9))
     lost = own - shifted.weighed - unseen * own

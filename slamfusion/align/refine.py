@@ -7,7 +7,7 @@ the search, on full-resolution cells. What a motion is: see ``pair``.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -49,6 +49,7 @@ def refine(
     iterations: int = 4,
     solid: bool = False,
     everywhere: bool = False,
+    meanwhile: Callable[[], None] | None = None,
 ) -> F64:
     """Move motions to the nearest best fit of walls on walls.
 
@@ -60,6 +61,7 @@ def refine(
         iterations: Gauss-Newton steps a scale, fewer where a motion is settled.
         solid: fit all wall cells, not only surfaces, at step 1.
         everywhere: also in unknown cells, for bent maps.
+        meanwhile: what the host does while the device fits.
 
     Returns:
         (P, 3) refined motions, the same form.
@@ -72,10 +74,13 @@ def refine(
     middle, reach = np.array((width, height)) / 2.0, math.hypot(*mov_shape) / 2.0
     local = motions / np.array([step, step, 1.0])
     there, _ = both_ways(local, centre_mov)
-    moved = pair.device.fit_motions(
+    fitted = pair.device.start_fit(
         *sides, np.stack(there), np.stack([np.broadcast_to(s, len(motions)) for s in scales]),
         iterations, (*middle, reach),
     )  # fmt: skip
+    if meanwhile is not None:
+        meanwhile()
+    moved = fitted()
     cos, sin = np.cos(moved[:, 2]), np.sin(moved[:, 2])
     x, y = (local[:, :2] - middle).T
     local = np.column_stack((cos * x - sin * y, sin * x + cos * y, local[:, 2])) + moved
@@ -83,23 +88,15 @@ def refine(
     return local
 
 
-def start_settling(pair: Pair) -> None:
-    """Let the device start on the fields of ``settle``, and on what a wall proves."""
-    for grid in pair:
-        for solid in (False, True):
-            grid.distances(1, solid=solid, everywhere=False)
-        grid.start_known(1)
-
-
-def settle(pair: Pair, motions: F64) -> F64:
+def settle(pair: Pair, motions: F64, meanwhile: Callable[[], None] | None = None) -> F64:
     """Finish motions that are right to a few cells, as finely as the walls of the two maps allow.
 
     If one map's walls are thicker, their surfaces cannot meet: a narrow fit locks onto one side of
     a room, a wider one stays between both. So the last scale is four times the median surface
     distance after a wide fit. The last fit uses all wall cells, so that a thin wall ends in the
-    middle of a thick one.
+    middle of a thick one. ``meanwhile`` is what the host does while the device makes the first fit.
     """
-    motions = refine(pair, motions, 1, (12.0, 8.0), points=FINE_POINTS)
+    motions = refine(pair, motions, 1, (12.0, 8.0), points=FINE_POINTS, meanwhile=meanwhile)
     # The median distance in cells, rounded up, of surfaces with one within 8 cells.
     counts = count_met(pair, motions, SPREAD_POINTS, [r * r for r in (*SURFACE_RADII, 8)])
     near = (counts[0] + counts[1])[:, 2 : 3 + len(SURFACE_RADII)].T

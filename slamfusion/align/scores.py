@@ -114,7 +114,14 @@ class WallPieces:
 def wall_pieces(
     pair: Pair, motions: F64, sigma: float, *, scales: F64 | None = None, sided: bool = False
 ) -> WallPieces:
-    """Return the evidence of each piece of wall for each motion.
+    """Return the evidence of each piece of wall for each motion, see ``start_pieces``."""
+    return start_pieces(pair, motions, sigma, scales=scales, sided=sided)()
+
+
+def start_pieces(
+    pair: Pair, motions: F64, sigma: float, *, scales: F64 | None = None, sided: bool = False
+) -> Callable[[], WallPieces]:
+    """Start to weigh each piece of wall for each motion.
 
     Args:
         motions: (P, 3) where the moving centre lands, cells, and yaw.
@@ -123,19 +130,26 @@ def wall_pieces(
         sided: for good maps: a wall seen from another side is another wall, unknown ground lowers
             no share, and what stays unexplained contradicts. Bent or old maps are too inaccurate
             for that.
+
+    Returns:
+        A function that waits for the device, and returns the evidence.
     """
     sides = list(pair.sides(motions, scales=scales))
-    found = _pieces(pair, sides, sigma, PIECE_POINTS, sided=sided)
-    evidence, most, share_most, seen_m = zip(*found, strict=True)
+    started = _start_pieces(pair, sides, sigma, PIECE_POINTS, sided=sided)
     lines, others = (_piece_lines(own, pair, sigma, sided=sided) for own, _, _ in sides)
-    return WallPieces(
-        np.concatenate(evidence, axis=1),
-        np.concatenate(most, axis=1),
-        np.concatenate(share_most, axis=1),
-        np.asarray(seen_m[0] + seen_m[1]),
-        (lines, others),
-        GOOD_DOUBT if sided else 0.0,
-    )
+
+    def weighed() -> WallPieces:
+        evidence, most, share_most, seen_m = zip(*started(), strict=True)
+        return WallPieces(
+            np.concatenate(evidence, axis=1),
+            np.concatenate(most, axis=1),
+            np.concatenate(share_most, axis=1),
+            np.asarray(seen_m[0] + seen_m[1]),
+            (lines, others),
+            GOOD_DOUBT if sided else 0.0,
+        )
+
+    return weighed
 
 
 def cut_pieces(pair: Pair, sigma: float) -> None:
@@ -157,15 +171,15 @@ def _piece_sides(pair: Pair, sigma: float) -> float:
     return size / (2.0 * (PIECE_M * max(1.0, sigma * size / PIECE_WIDTH_M)))
 
 
-def _pieces(
+def _start_pieces(
     pair: Pair,
     sides: Sequence[tuple[GridFeatures, F64, GridFeatures]],
     sigma: float,
     most_points: int,
     *,
     sided: bool,
-) -> list[tuple[F64, F64, F64, F64]]:
-    """Return what ``WallPieces`` has of each map's pieces.
+) -> Callable[[], list[tuple[F64, F64, F64, F64]]]:
+    """Start on what ``WallPieces`` has of each map's pieces.
 
     Of each side: a map, motions (4, P), and the other map.
     """
@@ -175,17 +189,21 @@ def _pieces(
         table, words = other.piece_words(sigma)
         looked_up.append(PieceSide(own.pieces(*cut), motions, words, table.base))
         facts.append((table, len(own.level(1).points)))
-    found = []
-    sums = pair.device.piece_sums(*looked_up, sided=sided)
-    for (table, walls), (given, could, met) in zip(facts, sums, strict=True):
-        # Half, since both maps' walls are counted.
-        metres = 0.5 * pair.resolution * walls / max(1, min(walls, most_points))
-        unit = table.unit * metres
-        most = met * (table.span * unit)
-        share_most = could * unit if sided else most
-        seen_m = met.sum(axis=1) * metres
-        found.append((given * unit, most, share_most, seen_m))
-    return found
+    started = pair.device.start_piece_sums(*looked_up, sided=sided)
+
+    def weighed() -> list[tuple[F64, F64, F64, F64]]:
+        found = []
+        for (table, walls), (given, could, met) in zip(facts, started(), strict=True):
+            # Half, since both maps' walls are counted.
+            metres = 0.5 * pair.resolution * walls / max(1, min(walls, most_points))
+            unit = table.unit * metres
+            most = met * (table.span * unit)
+            share_most = could * unit if sided else most
+            seen_m = met.sum(axis=1) * metres
+            found.append((given * unit, most, share_most, seen_m))
+        return found
+
+    return weighed
 
 
 def score_motions(
@@ -293,5 +311,5 @@ def count_met(
 def walls_found(pair: Pair, motions: F64, sigma: float, scales: F64, points: int) -> F64:
     """Return the evidence (P,) for the reference's walls in the moving map; see ``wall_pieces``."""
     _, side = pair.sides(motions, scales=scales)
-    ((found, *_),) = _pieces(pair, [side], sigma, points, sided=False)
+    ((found, *_),) = _start_pieces(pair, [side], sigma, points, sided=False)()
     return np.asarray(found.sum(axis=1))

@@ -346,18 +346,10 @@ class OpenCLDevice(ComputeDevice):
         self, result: npt.NDArray[Scalar], name: str, size: tuple[int, ...], *arguments: Any
     ) -> Callable[[], npt.NDArray[Scalar]]:
         """Start as ``launch_into`` does; return a function that waits and returns the array."""
-        out = self.wrap_host(result, writable=True) if result.size else None
-        event = None if out is None else self.launch(name, size, *arguments, out)
-
-        def filled() -> npt.NDArray[Scalar]:
-            # PoCL writes to the host's array itself: to map it would be two more commands.
-            if event is not None and self.is_pocl and self.shares_memory:
-                event.wait()
-            elif out is not None:
-                self.map_host(out, result)
-            return result
-
-        return filled
+        if 0 in (*size, result.size):
+            return lambda: result
+        out = self.wrap_host(result, writable=True)
+        return _Filling(self, result, out, self.launch(name, size, *arguments, out))
 
     def _reserve(self, flags: int, size: int, hostbuf: Any = None) -> Any:
         try:
@@ -374,6 +366,30 @@ class OpenCLDevice(ComputeDevice):
     def _failed(self, what: str, error: Exception) -> DeviceError:
         words = " ".join(str(error).split())[:200]
         return DeviceError(f"{self.name}: {what} failed ({words}); try `--device numpy`")
+
+
+class _Filling(Generic[Scalar]):
+    """Wait for a kernel that fills a host array; keep the array until the kernel has ended."""
+
+    def __init__(
+        self,
+        device: OpenCLDevice,
+        result: npt.NDArray[Scalar],
+        out: OpenCLArray[Scalar],
+        event: Any,
+    ) -> None:
+        self._device, self._result, self._out, self._event = device, result, out, event
+
+    def __call__(self) -> npt.NDArray[Scalar]:
+        # PoCL writes to the host's array itself: to map it would be two more commands.
+        if self._device.is_pocl and self._device.shares_memory:
+            self._event.wait()
+        else:
+            self._device.map_host(self._out, self._result)
+        return self._result
+
+    def __del__(self) -> None:
+        self._event.wait()
 
 
 def _number_type(item: Any) -> Any:

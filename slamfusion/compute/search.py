@@ -7,7 +7,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -357,7 +357,7 @@ class SearchDevice(ArrayDevice):
             found.append(np.stack([_narrow_scores(side, each, drop) for each in stepped], axis=1))
         return found
 
-    def fit_motions(
+    def start_fit(
         self,
         forward: FitSide,
         backward: FitSide,
@@ -365,8 +365,8 @@ class SearchDevice(ArrayDevice):
         scales: F64,
         iterations: int,
         pivot: tuple[float, float, float],
-    ) -> F64:
-        """Move motions to the nearest best fit of both sides' points on the other's walls.
+    ) -> Callable[[], F64]:
+        """Start to move motions to the nearest best fit of both sides' points on the other's walls.
 
         The residual of a point is the bilinear distance to the nearest wall, its weight Geman and
         McClure's 1 / (1 + (d / scale)^2)^2. Each damped Gauss-Newton step is a small motion
@@ -379,7 +379,8 @@ class SearchDevice(ArrayDevice):
             pivot: x and y in cells of the reference, and the radius at which a turn is counted.
 
         Returns:
-            (P, 3) float64: dx, dy (cells) and dyaw (rad) about the pivot, of all steps.
+            A function that waits for the fit, and returns (P, 3) float64: dx, dy (cells) and dyaw
+            (rad) about the pivot, of all steps.
         """
         rounds, n = scales.shape
         if self.opencl:
@@ -389,12 +390,13 @@ class SearchDevice(ArrayDevice):
                 for part in (points, points.shape[0], distance, *distance.shape)
             ]
             given = [self.upload(part.astype(np.float32)) for part in (motions, scales)]
-            return self.opencl.launch_into(
+            started = self.opencl.start_into(
                 np.empty((n, 3), np.float32), "fit_motions", (n * CLIMBERS,), *sides, n, *given,
                 rounds, iterations, *pivot, FIT_DAMPING, FIT_SETTLED,
-            ).astype(np.float64)  # fmt: skip
+            )  # fmt: skip
+            return lambda: started().astype(np.float64)
         moved = [
             _fitted((forward, backward), motion, widths, iterations, np.array(pivot))
             for motion, widths in zip(motions.T, scales.T, strict=True)
         ]
-        return np.array(moved).reshape(n, 3)
+        return lambda: np.array(moved).reshape(n, 3)

@@ -42,7 +42,7 @@ def _warp(device: ComputeDevice) -> list[npt.NDArray[Any]]:
 def _pieces(device: ComputeDevice) -> list[npt.NDArray[Any]]:
     pieces = piece_points(POINTS, FACING, STARTS, device)
     side = PieceSide(pieces, POSES.T.astype(np.float64), device.upload(WORDS), 64)
-    return [*device.piece_sums(side, sided=True)]
+    return [*device.start_piece_sums(side, sided=True)()]
 
 
 # By the name of the operation.

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -108,18 +109,18 @@ class WallPieceDevice(ArrayDevice):
         facing = host(facing).astype(np.uint32)
         return np.asarray(field | seen << np.uint32(8) | could << 16 | facing << 24, np.uint32)
 
-    def piece_sums(self, *sides: PieceSide, sided: bool) -> list[I32]:
-        """Return what the points of each piece meet under each motion, of each side.
+    def start_piece_sums(self, *sides: PieceSide, sided: bool) -> Callable[[], list[I32]]:
+        """Start to sum what the points of each piece meet under each motion, of each side.
 
         A wall that the field has, but that was seen from another side, meets nothing if ``sided``;
         nor does a point off the field.
 
         Returns:
-            (3, P, B) int32: the field less ``base``, the most that it could be, and points in seen
-            cells.
+            A function that waits for the sums, and returns (3, P, B) int32 of each side: the field
+            less ``base``, the most that it could be, and points in seen cells.
         """
         if not self.opencl:
-            return [_piece_sums(side, sided=sided) for side in sides]
+            return lambda: [_piece_sums(side, sided=sided) for side in sides]
         started = []
         for side in sides:
             (points, starts), _, words, base = side
@@ -131,11 +132,11 @@ class WallPieceDevice(ArrayDevice):
                 self.upload(turns), n, words, *words.shape, base,
             )  # fmt: skip
             started.append(sums)
-        return [sums() for sums in started]
+        return lambda: [sums() for sums in started]
 
 
 def _piece_sums(side: PieceSide, *, sided: bool) -> I32:
-    """Return what one side gives; see ``WallPieceDevice.piece_sums``."""
+    """Return what one side gives; see ``WallPieceDevice.start_piece_sums``."""
     starts, words = host(side.pieces.starts), host(side.words).astype(np.int64)
     (poses, turns), count = side.poses(), len(starts) - 1
     piece = np.repeat(np.arange(count), np.diff(starts))

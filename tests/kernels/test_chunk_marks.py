@@ -80,3 +80,16 @@ def test_memory_stays_until_the_kernels_that_write_to_it_have_ended(pocl: Comput
     marks = pocl.opencl.launch("mark_chunks", (count,), hits, seen, *rows, zeros, zeros, count)
     del hits
     assert marks.command_execution_status == 0
+
+
+def test_an_array_stays_until_the_kernel_that_fills_it_has_ended(
+    pocl: ComputeDevice, monkeypatch: pytest.MonkeyPatch
+):
+    launch, events = pocl.opencl.launch, []
+    monkeypatch.setattr(
+        pocl.opencl, "launch", lambda *given: events.append(launch(*given)) or events[-1]
+    )
+    planes = [pocl.zeros((1 << 24,), kind) for kind in (np.uint16, np.uint8, np.uint8)]
+    sums = pocl.start_known_by_distance(*planes)
+    del sums
+    assert events[-1].command_execution_status == 0

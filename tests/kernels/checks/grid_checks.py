@@ -188,7 +188,9 @@ def _piece_sums(device: ComputeDevice, sample: Sample) -> Arrays:
     facing = sample.rng.integers(0, 256, 150).astype(np.uint8)
     pieces = piece_points(sample.points(150), facing, starts, device)
     side = PieceSide(pieces, motions, words, BASE)
-    return [sums for sided in (True, False) for sums in device.piece_sums(side, sided=sided)]
+    return [
+        sums for sided in (True, False) for sums in device.start_piece_sums(side, sided=sided)()
+    ]
 
 
 def _fit_motions(device: ComputeDevice, sample: Sample) -> Arrays:
@@ -216,7 +218,7 @@ def _fit_motions(device: ComputeDevice, sample: Sample) -> Arrays:
     )
     pivot, scales = (width / 2.0, height / 2.0, (height + width) / 4.0), np.array([6.0, 3.0, 12.0])
     return [
-        device.fit_motions(forward, backward, moved, np.stack([scales] * rounds), steps, pivot)
+        device.start_fit(forward, backward, moved, np.stack([scales] * rounds), steps, pivot)()
         for forward, backward, moved, rounds, steps in (
             (rough, rough, motions, 1, 1),
             (exact, rough, turns, 1, 1),
@@ -295,8 +297,8 @@ GRID_CHECKS: dict[str, Check] = {
     "pose_scores": _pose_scores,
     "neighbour_scores": _neighbour_scores,
     "piece_words": _piece_words,
-    "piece_sums": _piece_sums,
-    "fit_motions": _fit_motions,
+    "start_piece_sums": _piece_sums,
+    "start_fit": _fit_motions,
     "vote_majority": _vote_majority,
     "vote_walls": _vote_walls,
     "cast_rays": _cast_rays,
