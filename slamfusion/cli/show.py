@@ -18,9 +18,10 @@ from slamfusion.cli import options
 from slamfusion.cli.help import Command, Number
 from slamfusion.cli.output import notice, print_if_json
 from slamfusion.cli.paths import FILE
-from slamfusion.config import FusionNodeConfig
+from slamfusion.config import FusionNodeConfig, MapFileConfig, RunConfig
 from slamfusion.errors import MapFileError, SlamFusionError, counted
 from slamfusion.jobs import outputs
+from slamfusion.jobs.inputs import load_maps
 from slamfusion.json_values import POSE_KEYS
 
 if TYPE_CHECKING:
@@ -84,20 +85,22 @@ class Finished:
         maps: names of the layers, in the order in which they are shown.
         also: other drives of the folder, which can be shown by name.
         report: folder of the report.
+        config, resolution: how the files of the maps are read; see ``load_maps``.
     """
 
     scene: Scene
     maps: list[str] = field(default_factory=list)
     also: Sequence[str] = ()
     report: Path | None = None
+    config: RunConfig = field(default_factory=RunConfig)
+    resolution: float | None = None
 
-    def put(self, name: str, kind: Kind, path: Path, *, shown: bool = True, **options: Any) -> None:
+    def put(self, name: str, kind: Kind, path: Path, *, shown: bool = True) -> None:
         """Load a map and show it; one that cannot be read becomes an event."""
-        from slamfusion.io import load_map  # noqa: PLC0415  (OpenCV loads slowly)
-
         self.maps.append(name)
+        size_m = self.resolution
         try:
-            grid = load_map(path, name=name, warn=lambda _: None, **options)
+            (grid,) = load_maps([path], self.config, resolution=size_m, warn=lambda _: None)
         except (SlamFusionError, OSError) as error:
             self.scene.put_event("error", f"{name} is not shown: {error}")
         else:
@@ -210,12 +213,10 @@ def _read_record(path: Path, record: Mapping[str, Any]) -> Finished:
     found.put(scene.AGREEMENT, "agreement", agreement)
     files = [*(stem.with_name(f"{name}.yaml") for name in made), *map(near, given)]
     settings = (record.get("config") or {}).get("map_files") or {}
+    found.config = RunConfig(map_files=MapFileConfig(bool(settings.get("legacy_unknown"))))
+    found.resolution = record.get("resolution")
     for item, file in zip(inputs, files, strict=True):
-        options: dict[str, Any] = {"legacy_unknown": bool(settings.get("legacy_unknown"))}
-        if file.suffix not in {".yaml", ".yml"} and not file.is_dir():
-            options["resolution"] = record.get("resolution")
-        source = file / f"{outputs.FUSED}.yaml" if file.is_dir() else file
-        found.put(layers[item["name"]], "input", source, shown=item["accepted"], **options)
+        found.put(layers[item["name"]], "input", file, shown=item["accepted"])
     if has_drawn:
         found.put(outputs.DRAWN, "input", drawn)
     return found

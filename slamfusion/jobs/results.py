@@ -25,7 +25,7 @@ from slamfusion.evaluation.measured import Row
 from slamfusion.io import write_atomic
 from slamfusion.io.files import open_regular
 from slamfusion.io.map_server import existing, read_map_yaml
-from slamfusion.jobs.inputs import map_file
+from slamfusion.jobs.inputs import is_yaml, map_file
 from slamfusion.jobs.records import Summaries, record_bytes
 from slamfusion.json_values import plain
 from slamfusion.version import __version__, versions
@@ -138,7 +138,7 @@ def map_inputs(role: str, case: str, paths: Sequence[Path]) -> list[tuple[str, s
     for given in paths:
         path = map_file(given)
         found.append((role, case, path))
-        if path.suffix.lower() in {".yaml", ".yml"}:
+        if is_yaml(path):
             found.append((f"{role} image", case, existing(read_map_yaml(path).image)))
     return found
 

@@ -147,15 +147,15 @@ def test_a_folder_without_a_map_is_refused(tmp_path: Path) -> None:
 
 
 def write_fusion(folder: Path) -> FuseDocument:
-    """Write a fusion as ``slamfusion fuse`` does, of maps in another folder; return its record."""
+    """Write a fusion as ``slamfusion fuse`` does, of a map and of folders; return its record."""
     result = fusion(rejected_name="far")
-    files = tuple(folder / "given" / f"{record.name}.yaml" for record in result.inputs)
-    files[0].parent.mkdir()
+    files = tuple(folder / "given" / record.name / "map.yaml" for record in result.inputs)
     for path, record in zip(files, result.inputs, strict=True):
         save_map(record.grid, path.with_suffix(""))
     config = RunConfig()
     doubled = DoubledWalls.of(result, config)
-    fused = FusedMaps(config, result, doubled, (), GivenMaps(files))
+    given = GivenMaps((files[0], *(path.parent for path in files[1:])))
+    fused = FusedMaps(config, result, doubled, (), given)
     return save_fused_maps(fused, folder / "out")
 
 
@@ -179,7 +179,7 @@ def test_a_fusion_is_shown_with_its_inputs_where_they_were_laid(tmp_path: Path) 
     assert read_finished(tmp_path / "again.yaml").scene.title == "SLAMfusion: again"
     assert read_finished(tmp_path / "out.json").scene.title == "SLAMfusion: out"
     with pytest.raises(MapFileError, match="no record of its fusion next to it"):
-        read_finished(tmp_path / "given" / "far.yaml")
+        read_finished(tmp_path / "given" / "far" / "map.yaml")
 
 
 def test_a_drive_of_an_experiment_is_shown_over_the_truth(tmp_path: Path) -> None:
