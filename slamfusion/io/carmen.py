@@ -27,7 +27,9 @@ from slamfusion.io.files import write_atomic
 from slamfusion.io.lines import packed_by_name
 from slamfusion.io.log import (
     AHEAD_S,
+    BEFORE_ODOMETRY,
     FARTHEST_M,
+    NO_SCAN,
     NOT_NUMBERS,
     BadLineError,
     LogScan,
@@ -66,9 +68,7 @@ CARMEN_WORDS = frozenset(
 WRONG_COUNT = "wrong number of fields (a cut-off line?)"
 NOT_FINITE = "pose or time not finite"
 TOO_FAR = f"pose more than {FARTHEST_M:g} m away"
-NO_POSE_YET = "laser before odometry"
 NO_BEAMS = "scan without beams"
-NO_SCAN = "angles or ranges that cannot be a scan"
 
 # Above every range of a log whose readings are all real.
 _ABOVE_LARGEST = 1.001
@@ -298,7 +298,7 @@ class _Parser:
         elif fields[0] == b"LASER_READING":
             robot, stamp_s = _pose(rest[0:3]), _finite(rest[3:4])[0]
         if robot is None:
-            raise BadLineError(NO_POSE_YET)
+            raise BadLineError(BEFORE_ODOMETRY)
         return Message(fields[0], ranges, first_rad, step_rad, robot, laser, stamp_s)
 
 

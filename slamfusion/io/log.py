@@ -47,6 +47,8 @@ LASERS_APART_S = 1e-6
 _CHECKED_BYTES = 1 << 26
 
 BACK, EQUAL = "time goes back", "two scans of one stamp"
+NO_SCAN = "angles or ranges that cannot be a scan"
+BEFORE_ODOMETRY = "laser before odometry"
 STRAY = "a time stamp far ahead of those before and after it"
 
 

@@ -19,13 +19,13 @@ from slamfusion.deskew import Deskewer, Deskewing
 from slamfusion.errors import SlamFusionError
 from slamfusion.geometry import F64, Pose2, row_of
 from slamfusion.grid import IDENTITY, OccupancyGrid
+from slamfusion.io.log import BEFORE_ODOMETRY
 from slamfusion.scan import LaserScan
 from slamfusion.slam.common.mapper import DrawsAside, Health, MapJob, Mapper
 from slamfusion.slam.common.odometry_check import contradictions
 from slamfusion.slam.registry import make_producer
 from slamfusion.trajectory import Trajectory
 
-NO_ODOMETRY_YET = "laser before odometry"
 NOT_NEWER = "stamp not later than the last one's"
 SENT_AGAIN = "sent again"
 NOT_FED = "the SLAM failed"
@@ -243,7 +243,7 @@ class ProducerSession:
         if odometry is None and self._wants_odometry:
             self._change(without_odometry=self.snapshot.without_odometry + 1)
             if fed_s is None:
-                raise LeftOutError(NO_ODOMETRY_YET)
+                raise LeftOutError(BEFORE_ODOMETRY)
         try:
             step = self._producer.feed(self._deskewer.moved(scan, within), odometry)
         except SlamFusionError as error:

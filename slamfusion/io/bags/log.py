@@ -16,7 +16,7 @@ from slamfusion.errors import LogError, ScanError
 from slamfusion.geometry import F32
 from slamfusion.io.bags.odometry import BagFrames
 from slamfusion.io.bags.reader import SCAN_TYPES, OpenBag, open_bag, stamp_s
-from slamfusion.io.log import LogScan, ScanLog
+from slamfusion.io.log import NO_SCAN, LogScan, ScanLog
 from slamfusion.io.transforms import TILT_MAX_RAD, Mount
 from slamfusion.scan import LaserScan
 
@@ -29,7 +29,6 @@ JOIN_BEAMS = 1.5
 
 NO_STAMP = "no time stamp"
 UNREADABLE = "message that cannot be read"
-NO_SCAN = "angles or ranges that cannot be a scan"
 
 
 def first_echoes(message: Any) -> F32:

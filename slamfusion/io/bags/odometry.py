@@ -13,7 +13,7 @@ from slamfusion.config import LogConfig
 from slamfusion.errors import LogError, counted
 from slamfusion.geometry import F64, Pose2, blend_poses, compose_poses, pose_of, quaternion_yaw_rad
 from slamfusion.io.bags.reader import SCAN_TYPES, TRANSFORM_TYPES, OpenBag, open_bag, stamp_s
-from slamfusion.io.log import FARTHEST_M, REACH_S
+from slamfusion.io.log import BEFORE_ODOMETRY, FARTHEST_M, REACH_S
 from slamfusion.io.transforms import HOLD_S, TransformTree, plan_poses
 
 _ODOMETRY_TYPES = ("nav_msgs/msg/Odometry",)
@@ -24,7 +24,6 @@ _POSE_TYPES = (
 )
 _BASE_FRAMES = ("base_footprint", "base_link")
 
-BEFORE_ODOMETRY = "laser before odometry"
 AFTER_ODOMETRY = "laser after odometry"
 NO_ODOMETRY = f"no odometry within {REACH_S:g} s of the laser"
 
