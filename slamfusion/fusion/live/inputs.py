@@ -27,8 +27,8 @@ from slamfusion.grid import UNKNOWN, CellBox, OccupancyGrid, implausible, known_
 from slamfusion.io.files import check_memory
 from slamfusion.vote.lattice import SAME_RESOLUTION, Lattice
 
-# Share of the old walls.
-STANDING_MIN = 0.4
+# Least shares of the old walls that still stand: of all, and of those that are wall or free now.
+STANDING_MIN, STEADY_SHARE = 0.4, 0.75
 # Cells in which nothing lies, that a box of changes may hold for each cell of the two maps.
 SPARE_SHARE = 4
 NEIGHBOURS = np.ones((3, 3), dtype=np.uint8)
@@ -148,15 +148,11 @@ class Change:
     contradicted: int
     before: int
 
-    def is_steady(self, share: float) -> bool:
-        """Whether enough old walls still stand that the map's frame did not move.
-
-        ``share`` is of the walls that are wall or free now; a few that stand by chance do not count
-        if most became unknown.
-        """
-        judged = self.standing + self.contradicted
+    def is_steady(self) -> bool:
+        """Whether enough old walls still stand that the map's frame did not move."""
+        # A few that stand by chance do not count if most became unknown.
         is_enough = self.standing >= max(WALLS_MIN, STANDING_MIN * self.before)
-        return is_enough and self.standing >= share * judged
+        return is_enough and self.standing >= STEADY_SHARE * (self.standing + self.contradicted)
 
 
 def compare(old: Layer, new: Layer, thresholds: NormalizeConfig, device: ComputeDevice) -> Change:
@@ -193,9 +189,8 @@ def compare(old: Layer, new: Layer, thresholds: NormalizeConfig, device: Compute
 # A map with less than the first share of the previous one's walls has restarted, and is young until
 # it has the second.
 RESTARTED_SHARE, GROWN_SHARE = 0.5, 0.75
-# An input is aligned again once this share of its wall cells has changed; a new map keeps its old
-# transform if at least the second share of the old walls remains.
-CHANGED_SHARE, STEADY_SHARE = 0.01, 0.75
+# An input is aligned again once this share of its wall cells has changed.
+CHANGED_SHARE = 0.01
 
 
 class State(Enum):
@@ -473,7 +468,7 @@ class Input:
             self.young_below = 0.0
         self.drift += change.walls
         self._changed += change.walls
-        if not (change.is_steady(STEADY_SHARE) and self._is_steady()):
+        if not (change.is_steady() and self._is_steady()):
             self.turn(Reason.MOVED)
             self._features = None
         return change
@@ -486,8 +481,7 @@ class Input:
         if self._changed - compared <= CHANGED_SHARE * self.walls:
             return True
         self._key = before, self._changed
-        changed = compare(before, self.layer, self.thresholds, self.device)
-        return changed.is_steady(STEADY_SHARE)
+        return compare(before, self.layer, self.thresholds, self.device).is_steady()
 
     def features(self, resolution: float) -> GridFeatures:
         """Return the alignment's features, of an older map while few walls have changed."""
