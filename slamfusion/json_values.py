@@ -68,6 +68,15 @@ def printed_names(kind: type) -> list[str]:
     return names
 
 
+def dotted(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Return nested mappings as one, by dotted keys; an empty one is a value."""
+    found: dict[str, Any] = {}
+    for key, value in values.items():
+        is_group = isinstance(value, Mapping) and value
+        found |= dotted(value, f"{prefix}{key}.") if is_group else {f"{prefix}{key}": value}
+    return found
+
+
 def plain(value: Any) -> Any:
     """Return records and nested values for JSON: no NumPy, paths, NaN or infinity."""
     if is_dataclass(value):

@@ -22,6 +22,7 @@ from matplotlib.figure import Figure  # noqa: TID251
 
 from slamfusion.config import PAGE, PICTURE_FORMS, PICTURES, RunConfig
 from slamfusion.io.files import AtomicFiles
+from slamfusion.json_values import dotted
 from slamfusion.report.canvas import Legend, add_lettering, to_form
 from slamfusion.report.layers import Layers
 from slamfusion.slam.registry import with_producers
@@ -120,17 +121,9 @@ def tables() -> Any:
 
 def _settings(config: RunConfig) -> tuple[list[tuple[str, str]], str]:
     """Return the settings that differ from the defaults, and all as YAML."""
-
-    def flat(settings: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-        found: dict[str, Any] = {}
-        for key, value in settings.items():
-            is_group = isinstance(value, Mapping) and value
-            found |= flat(value, f"{prefix}{key}.") if is_group else {f"{prefix}{key}": value}
-        return found
-
     settings = asdict(config)
-    defaults = flat(asdict(with_producers(RunConfig(), config.producers)))
-    own = flat(settings).items()
+    defaults = dotted(asdict(with_producers(RunConfig(), config.producers)))
+    own = dotted(settings).items()
     changed = [(key, str(value)) for key, value in own if value != defaults.get(key)]
     return changed, yaml.safe_dump(settings, sort_keys=False, allow_unicode=True)
 

@@ -28,6 +28,7 @@ from slamfusion.geometry import F64, Pose2
 from slamfusion.io import check_memory, write_atomic
 from slamfusion.io.files import open_regular
 from slamfusion.io.log import Skips
+from slamfusion.json_values import dotted
 
 Arrays = dict[str, npt.NDArray[Any]]
 M = TypeVar("M", bound="SavedMapper")
@@ -159,7 +160,7 @@ class SavedMapper(Stateful):
 
     def owner(self) -> dict[str, Any]:
         """Return what a state and the mapper that restores it must have in common."""
-        settings = {"seed": self._seed, **_flat(dataclasses.asdict(self._config))}
+        settings = {"seed": self._seed, **dotted(dataclasses.asdict(self._config))}
         return {"name": self.name, "format": self.STATE_FORMAT, "settings": settings}
 
 
@@ -278,16 +279,6 @@ def digest(arrays: Mapping[str, npt.NDArray[Any]]) -> bytes:
         hashed.update(f"{name} {array.dtype.str} {array.shape}\n".encode())
         hashed.update(array.tobytes())
     return hashed.digest()
-
-
-def _flat(values: dict[str, Any], where: str = "") -> dict[str, Any]:
-    flat: dict[str, Any] = {}
-    for key, value in values.items():
-        if isinstance(value, dict):
-            flat.update(_flat(value, f"{where}{key}."))
-        else:
-            flat[f"{where}{key}"] = value
-    return flat
 
 
 def check_arrays(
