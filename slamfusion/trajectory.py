@@ -83,8 +83,7 @@ class Trajectory:
             raise TrajectoryError(message)
         stamps.flags.writeable = False
         poses.flags.writeable = False
-        object.__setattr__(self, "stamps_s", stamps)
-        object.__setattr__(self, "poses", poses)
+        vars(self).update(stamps_s=stamps, poses=poses)
 
     def __len__(self) -> int:
         return len(self.stamps_s)

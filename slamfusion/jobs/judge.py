@@ -161,7 +161,7 @@ def judge_paths(
     others = map(as_path, (relations, odometry, truth))
     files = LogFiles(Path(log), *others, scan_odometry=as_path(scan_odometry))
     ground_truth = GroundTruth.read(config, relations, odometry, truth, warn)
-    device = device_for(config) if device is None else device
+    device = device_for(config, device)
     source = open_log(log, config.log, files.scan_odometry)
     scans = judged_scans(source)
     for sentence in (*source.skips.sentences(), *source.warnings.sentences(), *source.notes):
