@@ -16,6 +16,8 @@ from slamfusion.trajectory import Trajectory
 
 # Why a scan is passed over that no mapper can use.
 BLIND = "no reading within the usable range"
+# Share of the mean score below which a match is low: while tracking holds that is rare.
+LOW_SHARE = 0.5
 
 
 @dataclass(frozen=True)

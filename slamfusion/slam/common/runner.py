@@ -18,7 +18,7 @@ from slamfusion.errors import SlamFusionError, counted
 from slamfusion.geometry import F64
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io.log import LogRecord, LogScan, ScanLog
-from slamfusion.slam.common.mapper import ClosesLoops, Closure, Health, Mapper, Series
+from slamfusion.slam.common.mapper import LOW_SHARE, ClosesLoops, Closure, Health, Mapper, Series
 from slamfusion.slam.common.odometry_check import contradictions
 from slamfusion.trajectory import Trajectory
 
@@ -41,8 +41,6 @@ FIRST_REPORTED = "as first reported"
 # Share of the scans with a low match, and number of these in a row, from which on the robot may be
 # lost: a door or a crowd makes one now and then.
 MANY_LOW_SHARE, MANY_LOW_IN_A_ROW = 0.05, 8
-# Share of the mean score below which a match is low: that of ``Health.low_scores``.
-LOW_SHARE = 0.5
 # Share of the scans that could not be used from which on there is a warning: a log may hold blind
 # moments, but one that is blind for longer is hardly mapped.
 MANY_SKIPPED_SHARE = 0.2

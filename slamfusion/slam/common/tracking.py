@@ -17,7 +17,7 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.config import MatcherConfig
 from slamfusion.geometry import F64, Pose2, row_of
 from slamfusion.grid import IDENTITY
-from slamfusion.slam.common.mapper import Health
+from slamfusion.slam.common.mapper import LOW_SHARE, Health
 from slamfusion.slam.common.matcher import (
     FIRST_POSES,
     PRIOR_WEIGHT_XY,
@@ -35,8 +35,6 @@ from slamfusion.slam.common.state import Stateful
 # Spread of the first look, metres and radians, and what a metre and a radian of odometry add.
 SIGMA_M, SIGMA_M_PER_M = 0.1, 0.15
 SIGMA_RAD, SIGMA_RAD_PER_RAD = 0.05, 0.2
-# Share of the running mean score below which a match is low: while tracking holds that is rare.
-LOW_SHARE = 0.5
 # Spread and draws of the second search after a low match, as factors of the first one's; wide
 # enough for a wheel that has slipped.
 SECOND_SEARCH_SPREAD, SECOND_SEARCH_POSES = 3.0, 4
