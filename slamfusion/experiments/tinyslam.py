@@ -29,7 +29,7 @@ from slamfusion.slam.common.mapper import Mapper
 from slamfusion.slam.common.runner import run_producer
 from slamfusion.slam.gmapping.slam import Gmapping
 from slamfusion.slam.registry import settings_of
-from slamfusion.slam.tinyslam.slam import TinySlam, cell_value
+from slamfusion.slam.tinyslam.slam import FREE_VALUE, OCCUPIED_VALUE, TinySlam, cell_value
 from slamfusion.trajectory import Trajectory
 
 RELATIONS, ATE, TIME = FIGURES = ("relations_mean_m", "ate_rmse_m", "time_per_scan_ms")
@@ -39,7 +39,6 @@ PAIRS = list(itertools.combinations(METHODS, 2))
 GMAPPING_CELL_M = 0.2
 OBSERVATIONS = 12
 OCCUPIED_COUNTS = (3, 6, 9)
-OCCUPIED_VALUE, FREE_VALUE = 0.95, 0.01
 QUALITY = {"base": 0.2, "mean": 1.0}
 # "Forward": the occupied observations come first; "backward": the free ones.
 PAPER: dict[tuple[CellModel, str], tuple[float, ...]] = {

@@ -22,7 +22,7 @@ from slamfusion.compute import ComputeDevice, shared_device
 from slamfusion.config import FailuresConfig, GroundObstacleConfig, PlaceName, RunConfig
 from slamfusion.cores import usable_cores
 from slamfusion.errors import ConfigError, SlamFusionError
-from slamfusion.evaluation.measured import result_rows
+from slamfusion.evaluation.measured import map_figures, result_rows
 from slamfusion.experiments import fusions
 from slamfusion.experiments.page import Experiment, percent
 from slamfusion.experiments.runs import RunResult, Setup, Tell, packed_maps, run_all
@@ -36,8 +36,6 @@ from slamfusion.sim.world import LIDARS
 from slamfusion.slam.registry import BUILT_IN, with_settings
 from slamfusion.trajectory import Trajectory
 
-# Tolerance of faces, metres.
-FACES_M = 0.1
 # Drives of ``failures`` are fast, and long-range lasers sweep slowly, to save scans.
 RATE_HZ = 5.0
 HOKUYO_BEAMS = 361
@@ -250,7 +248,7 @@ def measure_trial(
         for name, grid in made.maps.items()
     }
     ate_m = made.path_errors(true_path(recording, seen))
-    faces = {name: item.faces.f1(FACES_M) or 0.0 for name, item in found.items()}
+    faces = {name: map_figures(item)["faces_f1"] or 0.0 for name, item in found.items()}
     figures: dict[str, dict[str, float]] = {
         name: {"error": item.error, "wall_f1": item.wall_f1 or 0.0, "faces_f1": faces[name]}
         for name, item in found.items()
