@@ -6,7 +6,7 @@ import functools
 import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import click
 
@@ -20,7 +20,6 @@ from slamfusion.json_values import plain
 if TYPE_CHECKING:
     import pandas as pd
 
-F = TypeVar("F", bound=Callable[..., Any])
 # Case, seed and method, and figures by name.
 Item: TypeAlias = tuple[tuple[str, str, str], Mapping[str, float]]
 
@@ -133,7 +132,7 @@ FORMS = (".csv", ".md", ".tex")
 FORMULA = ("=", "+", "-", "@")
 
 
-def table_option(function: F) -> F:
+def table_option(function: options.F) -> options.F:
     """Give a command ``--table``; it stands right above the command, below ``options.common``."""
     option = options.output(
         "--table",
