@@ -9,6 +9,7 @@ import logging
 import math
 import os
 import signal
+import sys
 import threading
 import time
 import traceback
@@ -42,6 +43,8 @@ from slamfusion.ros import qos
 from slamfusion.ros.parameters import TypedNode, missed_sections, unknown_parameters
 
 T = TypeVar("T")
+# Threads of workers that ``close`` could not end.
+_unended: list[threading.Thread] = []
 
 DIAGNOSTICS_TOPIC = "/diagnostics"
 DIAGNOSTICS_PERIOD_S = 1.0
@@ -243,6 +246,8 @@ class Worker(Generic[T]):
             self._is_closed = True
         self.clear()
         self._thread.join(timeout_s)
+        if self._thread.is_alive():
+            _unended.append(self._thread)
         return not self._thread.is_alive()
 
     def _run(self) -> None:
@@ -561,6 +566,11 @@ def run_node(make: Callable[[], NodeBase], arguments: Sequence[str] | None = Non
             faulthandler.cancel_dump_traceback_later()
             for number, handler in before.items():
                 signal.signal(number, handler)
+        if any(thread.is_alive() for thread in _unended):
+            # Ending the interpreter aborts while a thread is in native code.
+            sys.stdout.flush()
+            sys.stderr.flush()
+            os._exit(base.exit_code)
         return base.exit_code
     finally:
         rclpy.try_shutdown()

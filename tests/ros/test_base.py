@@ -264,6 +264,23 @@ class Stuck(base.NodeBase):
 base.END_S = 0.5
 base.run_node(Stuck)
 """
+BUSY = """
+import atexit, ctypes
+from slamfusion.ros import base
+class Busy(base.NodeBase):
+    def __init__(self):
+        super().__init__("busy")
+        self.is_stopped = True
+    def close(self):
+        worker = base.Worker(ctypes.CDLL(None).sleep, 1, print)
+        worker.put(60)
+        while worker.waiting:
+            pass
+        worker.close(0.1)
+        print("closed")
+atexit.register(print, "finalized")
+base.run_node(Busy)
+"""
 
 
 @pytest.mark.usefixtures("domain")
@@ -271,6 +288,12 @@ def test_a_node_that_the_middleware_does_not_let_go_ends_all_the_same() -> None:
     done = run_python(STUCK)
     assert done.returncode == 1
     assert "in run_node" in done.stderr
+
+
+@pytest.mark.usefixtures("domain")
+def test_a_node_ends_while_its_worker_is_in_native_code() -> None:
+    done = run_python(BUSY)
+    assert (done.returncode, done.stdout.split()) == (0, ["closed"])
 
 
 class Log:
