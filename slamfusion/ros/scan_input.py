@@ -265,10 +265,11 @@ class ScanInput:
         self._named = found
 
     def _name_dropped(self) -> None:
-        why, advice = "too slow for the scans", "take a faster device or fewer scans"
+        why = "too slow for the scans"
+        advice = "take a faster device, fewer scans or a lower --rate"
         if any(store.is_awaited for store in self._stores):
             why = "scans wait for their odometry or transform"
-            advice = "send it sooner"
+            advice = "send it sooner, or raise scan_queue of a producer"
         text = f"{why}: the oldest that waits is dropped for each new one; {advice}"
         self._base.diagnostics.note("slow", text)
 
