@@ -267,7 +267,8 @@ class ScanInput:
     def _name_dropped(self) -> None:
         why = "too slow for the scans"
         advice = "take a faster device, fewer scans or a lower --rate"
-        if any(store.is_awaited for store in self._stores):
+        is_unheard = self.odometry is not None and self.odometry.last_s is None
+        if is_unheard or any(store.is_awaited for store in self._stores):
             why = "scans wait for their odometry or transform"
             advice = "send it sooner, or raise scan_queue of a producer"
         text = f"{why}: the oldest that waits is dropped for each new one; {advice}"
