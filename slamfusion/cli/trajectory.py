@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 
 import click
@@ -26,13 +28,15 @@ from slamfusion.jobs.inputs import load_maps
 from slamfusion.jobs.records import Settings
 
 
-def paths_in(item: CaseFile) -> list[CaseFile]:
-    """Return the .tum files of a folder; of a file, a bag or the folder of one log itself."""
+def paths_in(item: CaseFile, known: Iterable[CaseFile]) -> list[CaseFile]:
+    """Return the .tum files of a folder but the known; of a file, a bag or a log, itself."""
     from slamfusion.io.logs import check_folder  # noqa: PLC0415  (OpenCV loads slowly)
 
+    left_out = {file.path.resolve() for file in known}
     files = sorted(item.path.rglob("*.tum")) if item.path.is_dir() else []
+    files = [path for path in files if path.resolve() not in left_out]
     if not files:
-        check_folder(item.path, "a folder with .tum files, ")
+        check_folder(item.path, "a folder with .tum files that no option names, ")
     return [replace(item, path=path) for path in files] or [item]
 
 
@@ -89,14 +93,16 @@ def command(
     """Measure the errors of paths.
 
     EST is a file of poses (TUM, 't x y theta' or CSV), a log, whose raw odometry is measured, or a
-    folder, for all .tum files in it: out/seed-0/graph.tum is graph with seed 0.
+    folder, for all .tum files in it that no option names: out/seed-0/graph.tum is graph with
+    seed 0.
 
     With several truths or relations, a path belongs to the one whose name is a word of its file
     name or folder: graph/intel.tum and intel_graph.tum belong to intel.tum. CASE=EST overrides
     that. The same holds for the files of other options. One table and one report then
     show all paths.
     """
-    paths = [found for item in estimates for found in paths_in(item)]
+    given = list(chain(*files.values()))
+    paths = [found for item in estimates for found in paths_in(item, given)]
     relations, truths, odometry = (files[kind] for kind in ("relations", "truth", "odometry"))
     is_one = max(map(len, (paths, truths, relations))) == 1
     refuse = options.refuse

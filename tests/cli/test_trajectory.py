@@ -79,6 +79,12 @@ def test_a_path_of_a_part_of_the_drive_shows_how_much_it_covers(files: dict[str,
         assert [shares[name][f"{column}, share"] for name in ("part", "slam")] == of_paths
 
 
+def test_the_truth_in_a_folder_of_paths_is_no_path(files: dict[str, Path]) -> None:
+    folder = files["truth"].parent
+    document = json_of(run("trajectory", folder, *options(files, "truth"), "--json"))
+    assert document["estimate"] == str(files["estimate"])
+
+
 def test_a_folder_without_a_path_is_named_with_what_it_holds(tmp_path: Path) -> None:
     truth = tum(tmp_path / "true.tum", TRUTH)
     (tmp_path / "run").mkdir()
