@@ -228,8 +228,11 @@ def recommend(
     )
     own_paths = [own for own in paths if own.name in slams]
     check, confidence = _checks(evidence, own_paths, path, frame)
-    is_mirrored = paths[0].faults == (MIRRORED,)
-    laser = None if is_mirrored else laser_fault(evidence.scans.driven, evidence.own_path(path))
+    laser = None
+    if paths[0].faults == (MIRRORED,):
+        confidence = "low"  # both scans and odometry prefer its image
+    else:
+        laser = laser_fault(evidence.scans.driven, evidence.own_path(path))
     return Recommendation(None, path, alone, confidence, check, laser, paths)
 
 

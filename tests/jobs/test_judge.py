@@ -157,21 +157,22 @@ def test_a_path_on_another_clock_is_named_and_put_on_the_logs(drive: Path, tmp_p
     assert path.own_poses_share > 0.95
 
 
-def turning() -> Trajectory:
-    yaws = [[0.0, 0.0, math.sin(2.0 * stamp_s)] for stamp_s in TRUTH.stamps_s]
+def turning(most_rad: float = 1.0) -> Trajectory:
+    yaws = [[0.0, 0.0, most_rad * math.sin(2.0 * stamp_s)] for stamp_s in TRUTH.stamps_s]
     return replace(TRUTH, poses=TRUTH.poses + yaws)
 
 
 def test_a_mirrored_path_is_not_taken_for_a_mirrored_laser(tmp_path: Path) -> None:
-    write_carmen(tmp_path / "drive.log", recorded(turning()))
-    image = replace(turning(), poses=turning().poses * (1.0, -1.0, -1.0))
-    write_tum(tmp_path / "slam.tum", image)
+    path = turning(0.1)
+    write_carmen(tmp_path / "drive.log", recorded(path))
+    write_tum(tmp_path / "slam.tum", path.mirrored())
     told: list[str] = []
     found = judge_paths(tmp_path / "drive.log", [tmp_path / "slam.tum"], warn=told.append)
     assert found.recommendation.laser_fault is None
     assert "slam: the path is mirrored: negate its y and yaw" in told
-    (path,) = plain(found)["path_evidence"]
-    assert path["faults"] == ["the path is mirrored: negate its y and yaw"]
+    (evidence,) = plain(found)["path_evidence"]
+    assert evidence["faults"] == ["the path is mirrored: negate its y and yaw"]
+    assert found.recommendation.confidence == "low"
 
 
 def test_a_mirrored_laser_is_said(tmp_path: Path) -> None:
@@ -180,7 +181,7 @@ def test_a_mirrored_laser_is_said(tmp_path: Path) -> None:
         for item in recorded(turning())
     ]
     write_carmen(tmp_path / "drive.log", scans)
-    write_tum(tmp_path / "image.tum", replace(turning(), poses=turning().poses * (1.0, -1.0, -1.0)))
+    write_tum(tmp_path / "image.tum", turning().mirrored())
     found = judge_paths(tmp_path / "drive.log", [tmp_path / "image.tum"])
     assert "use --laser mirrored" in (found.recommendation.laser_fault or "")
     assert found.recommendation.tone == "bad"
