@@ -263,7 +263,8 @@ def test_too_many_scans_are_dropped_oldest_first_and_counted(
     assert dropped > 0
     assert dropped + fed == COUNT
     assert fed == len(poses)
-    assert observer.wait_status("gmapping: slam", "fewer scans or a lower --rate")
+    status = observer.wait_status("gmapping: slam", "too slow for the scans: the oldest that waits")
+    assert "take a faster device, fewer scans or a lower --rate" in status.message
 
 
 def moved_by(item: LogScan, offset_s: float) -> LogScan:
@@ -442,7 +443,9 @@ def test_scans_before_any_odometry_are_left_out_and_named(processes: Processes, 
     for item in scans(25):
         robot.send(item)
     for name in ("tinyslam: slam", "fusion: fusion"):
-        observer.wait_status(name, "send it sooner, or raise scan_queue of a producer")
+        waits = "scans wait for their odometry or transform: the oldest"
+        dropped = observer.wait_status(name, waits)
+        assert "send it sooner, or raise scan_queue of a producer" in dropped.message
     status = observer.wait_status("tinyslam: slam", "no odometry for the scans, which are left out")
     assert "set odometry_source to none" in status.message
     found = wait_for_figures(observer, "tinyslam", "left out: laser before odometry", 3)
