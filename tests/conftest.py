@@ -11,7 +11,7 @@ from unittest import mock
 import pytest
 from hypothesis import HealthCheck, settings
 from xdist.remote import Producer
-from xdist.scheduler import LoadScopeScheduling
+from xdist.scheduler import LoadFileScheduling
 
 from slamfusion.compute import ComputeDevice, NumpyDevice, open_device
 from tests.support import datasets
@@ -94,16 +94,16 @@ def few_of_each(items: list[pytest.Item]) -> list[pytest.Item]:
     return kept
 
 
-class Scheduling(LoadScopeScheduling):  # type: ignore[misc]
+class Scheduling(LoadFileScheduling):  # type: ignore[misc]  # xdist has no types
     """Give all tests with nodes to one process, and any other file to the next that is free."""
 
     def _split_scope(self, nodeid: str) -> str:
-        file = nodeid.partition("::")[0]
-        return "tests/ros/" if file.startswith(("tests/ros/", "tests/launch/")) else file
+        is_of_nodes = nodeid.startswith(("tests/ros/", "tests/launch/"))
+        return "nodes" if is_of_nodes else str(super()._split_scope(nodeid))
 
 
-def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> Scheduling:
-    return Scheduling(config, log)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> Scheduling | None:
+    return Scheduling(config, log) if config.getoption("dist") == "loadfile" else None
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
