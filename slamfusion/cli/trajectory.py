@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection
 from dataclasses import replace
-from itertools import chain
 from pathlib import Path
 
 import click
@@ -28,13 +27,12 @@ from slamfusion.jobs.inputs import load_maps
 from slamfusion.jobs.records import Settings
 
 
-def paths_in(item: CaseFile, known: Iterable[CaseFile]) -> list[CaseFile]:
-    """Return the .tum files of a folder but the known; of a file, a bag or a log, itself."""
+def paths_in(item: CaseFile, named: Collection[Path]) -> list[CaseFile]:
+    """Return the .tum files of a folder that are not named; of a file, a bag or a log, itself."""
     from slamfusion.io.logs import check_folder  # noqa: PLC0415  (OpenCV loads slowly)
 
-    left_out = {file.path.resolve() for file in known}
     files = sorted(item.path.rglob("*.tum")) if item.path.is_dir() else []
-    files = [path for path in files if path.resolve() not in left_out]
+    files = [path for path in files if path.resolve() not in named]
     if not files:
         check_folder(item.path, "a folder with .tum files that no option names, ")
     return [replace(item, path=path) for path in files] or [item]
@@ -101,8 +99,8 @@ def command(
     that. The same holds for the files of other options. One table and one report then
     show all paths.
     """
-    given = list(chain(*files.values()))
-    paths = [found for item in estimates for found in paths_in(item, given)]
+    named = {item.path.resolve() for given in files.values() for item in given}
+    paths = [found for item in estimates for found in paths_in(item, named)]
     relations, truths, odometry = (files[kind] for kind in ("relations", "truth", "odometry"))
     is_one = max(map(len, (paths, truths, relations))) == 1
     refuse = options.refuse
