@@ -34,13 +34,7 @@ from slamfusion.align.features import spread_sample
 from slamfusion.align.likelihood import likeness
 from slamfusion.align.pair import Pair, displacement, turned_about
 from slamfusion.align.refine import common_walls, narrow_fits
-from slamfusion.align.scores import (
-    SCORED_POINTS,
-    WallPieces,
-    score_motions,
-    start_pieces,
-    wall_pieces,
-)
+from slamfusion.align.scores import SCORED_POINTS, WallPieces, score_motions, start_pieces
 from slamfusion.align.search import SearchResult, search
 from slamfusion.align.shifts import SearchWindow
 from slamfusion.compute.lattice import cells_at, fixed_cells
@@ -383,9 +377,9 @@ def estimate_scale(pair: Pair, motion: F64, reading: Reading, others: F64) -> fl
     scale = float(scales[best])
     if scale == 1.0:
         return 1.0
-    both = wall_pieces(
+    both = start_pieces(
         pair, np.stack((motions[best], motion)), pair.widths[0], scales=np.array([scale, 1.0])
-    )
+    )()
     # A smaller gain of one of several scales is chance.
     pieces = float(both.count(both.weighed[0] - both.weighed[1]))
     is_better = expected_wrong(pieces, TRIALS) < 1.0 and both.share()[0] >= STOREYS_SHARE

@@ -111,13 +111,6 @@ class WallPieces:
         return np.split(values, [len(self.lines[0].straight)], axis=-1)
 
 
-def wall_pieces(
-    pair: Pair, motions: F64, sigma: float, *, scales: F64 | None = None, sided: bool = False
-) -> WallPieces:
-    """Return the evidence of each piece of wall for each motion, see ``start_pieces``."""
-    return start_pieces(pair, motions, sigma, scales=scales, sided=sided)()
-
-
 def start_pieces(
     pair: Pair, motions: F64, sigma: float, *, scales: F64 | None = None, sided: bool = False
 ) -> Callable[[], WallPieces]:
@@ -153,7 +146,7 @@ def start_pieces(
 
 
 def cut_pieces(pair: Pair, sigma: float) -> None:
-    """Make what the host makes of each map for ``wall_pieces`` of good maps."""
+    """Make what the host makes of each map for ``start_pieces`` of good maps."""
     for own in pair:
         own.pieces(_piece_sides(pair, sigma), PIECE_POINTS)
         _piece_lines(own, pair, sigma, sided=True)
@@ -309,7 +302,7 @@ def count_met(
 
 
 def walls_found(pair: Pair, motions: F64, sigma: float, scales: F64, points: int) -> F64:
-    """Return the evidence (P,) for the reference's walls in the moving map; see ``wall_pieces``."""
+    """Return the evidence (P,) for the reference's walls in the moving map; see ``WallPieces``."""
     _, side = pair.sides(motions, scales=scales)
     ((found, *_),) = _start_pieces(pair, [side], sigma, points, sided=False)()
     return np.asarray(found.sum(axis=1))

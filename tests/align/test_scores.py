@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from slamfusion.align.features import GridFeatures
 from slamfusion.align.lines import PieceLines, relate_pieces
 from slamfusion.align.pair import Pair
-from slamfusion.align.scores import ALIKE, PIECE_M, PIECE_POINTS, WallPieces, wall_pieces
+from slamfusion.align.scores import ALIKE, PIECE_M, PIECE_POINTS, WallPieces, start_pieces
 from slamfusion.align.search import score_motions
 from slamfusion.compute import ComputeDevice
 from slamfusion.compute.layout import FACES, FACING_PARTS, OPPOSED_PARTS
@@ -85,7 +85,7 @@ def is_seen(side: Side, features: GridFeatures) -> np.ndarray:
 def test_pieces_equal_their_definition(device: ComputeDevice, seed: int) -> None:
     ref, mov = (features_of(random_grid(seed + k), device) for k in (0, 60))
     motions = some_motions(ref, seed, 3)
-    found = wall_pieces(Pair(ref, mov), motions, SIGMA)
+    found = start_pieces(Pair(ref, mov), motions, SIGMA)()
     a, b = side_of(ref, SIGMA, 255), side_of(mov, SIGMA, 255)
     for k, motion in enumerate(motions):
         evidence, most, metres = [], [], 0.0
@@ -106,7 +106,7 @@ def test_pieces_equal_their_definition(device: ComputeDevice, seed: int) -> None
 def test_pieces_add_up_to_the_evidence_of_all_cells(device: ComputeDevice) -> None:
     ref, mov = features_of(building(3), device), features_of(building(4), device)
     motions = some_motions(ref, 5)
-    pieces = wall_pieces(Pair(ref, mov), motions, SIGMA)
+    pieces = start_pieces(Pair(ref, mov), motions, SIGMA)()
     cells = score_motions(Pair(ref, mov), motions, 1, sigma=SIGMA, points=PIECE_POINTS)
     # Nats a cell of 0.1 m of either map; a hundredth of it where one cell is read otherwise.
     assert np.allclose(pieces.total, 0.5 * 0.1 * cells, rtol=0, atol=0.01)
@@ -115,7 +115,7 @@ def test_pieces_add_up_to_the_evidence_of_all_cells(device: ComputeDevice) -> No
 
 def test_a_map_on_itself_gives_all_that_it_could(device: ComputeDevice) -> None:
     grid = features_of(building(3), device)
-    pieces = wall_pieces(Pair(grid, grid), np.array([[*grid.centre, 0.0]]), SIGMA)
+    pieces = start_pieces(Pair(grid, grid), np.array([[*grid.centre, 0.0]]), SIGMA)()
     assert pieces.share() == pytest.approx(1.0)
     assert pieces.seen_m == pytest.approx(0.1 * len(grid.level(1).points))
     assert 10 < pieces.count(pieces.weighed[0]) <= pieces.evidence.shape[1]
@@ -123,7 +123,7 @@ def test_a_map_on_itself_gives_all_that_it_could(device: ComputeDevice) -> None:
 
 def test_where_the_maps_share_nothing_there_is_no_evidence(device: ComputeDevice) -> None:
     grid = features_of(building(3), device)
-    pieces = wall_pieces(Pair(grid, grid), np.array([[900.0, 900.0, 1.0]]), SIGMA)
+    pieces = start_pieces(Pair(grid, grid), np.array([[900.0, 900.0, 1.0]]), SIGMA)()
     assert not pieces.evidence.any()
     assert pieces.seen_m.tolist() == pieces.share().tolist() == [0.0]
     assert pieces.count(pieces.weighed[0]) == 0.0
@@ -198,7 +198,7 @@ def test_a_map_of_twice_the_size_fits_at_half_the_scale(device: ComputeDevice) -
     room += [*["#" + "." * 28 + "#"] * 9, "#" * 30]
     small, large = (features_of(grown("\n".join(room), n), device) for n in (1, 2))
     motions = np.repeat([[*small.centre, 0.0]], 3, axis=0)
-    pieces = wall_pieces(Pair(small, large), motions, SIGMA, scales=np.array([0.5, 1.0, 0.6]))
+    pieces = start_pieces(Pair(small, large), motions, SIGMA, scales=np.array([0.5, 1.0, 0.6]))()
     assert pieces.total[0] > 3.0 * max(pieces.total[1], pieces.total[2], 1.0)
 
 
@@ -217,11 +217,13 @@ def test_a_wall_laid_on_the_back_of_another_is_no_evidence(device: ComputeDevice
     low, high = rooms(device)
     # The cells that both rooms' grids were cropped to.
     beside = np.array([[low.shape[1] + high.shape[1] / 2.0 - 1.0, low.shape[0] / 2.0, 0.0]])
-    backs = [wall_pieces(Pair(low, high), beside, SIGMA, sided=sided) for sided in (False, True)]
+    backs = [start_pieces(Pair(low, high), beside, SIGMA, sided=sided)() for sided in (False, True)]
     assert backs[0].total[0] > 1.0
     assert backs[1].total[0] < 0.2 * backs[0].total[0]
     same = np.array([[*low.centre, 0.0]])
-    on_itself = [wall_pieces(Pair(low, low), same, SIGMA, sided=sided) for sided in (False, True)]
+    on_itself = [
+        start_pieces(Pair(low, low), same, SIGMA, sided=sided)() for sided in (False, True)
+    ]
     assert np.array_equal(on_itself[0].evidence, on_itself[1].evidence)
 
 
@@ -234,7 +236,7 @@ def test_what_was_not_seen_contradicts_nothing(device: ComputeDevice) -> None:
     half = features_of(OccupancyGrid(cut, whole.resolution), device)
     middle = truth.shape[1] - half.shape[1] / 2.0, half.shape[0] / 2.0, 0.0
     shares = [
-        wall_pieces(Pair(truth, half), np.array([middle]), SIGMA, sided=sided).share()[0]
+        start_pieces(Pair(truth, half), np.array([middle]), SIGMA, sided=sided)().share()[0]
         for sided in (False, True)
     ]
     assert shares[0] < shares[1] <= 1.0 + 1e-9
